@@ -1,0 +1,3 @@
+"""vhp: make directories of tissue surface meshes fit for simulation."""
+
+__version__ = "0.1.0"

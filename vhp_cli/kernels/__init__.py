@@ -1,0 +1,1 @@
+"""Compiled inner loops: small, pure, each with a plain reference beside its test."""

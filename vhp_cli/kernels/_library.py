@@ -1,0 +1,53 @@
+"""Load the compiled kernels; ctypes releases the GIL for the length of every call."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vhp_cli.errors import KernelError
+from vhp_cli.kernels.build import LIBRARY
+
+pointer = ctypes.c_void_p
+i32 = ctypes.c_int32
+i64 = ctypes.c_int64
+f64 = ctypes.c_double
+
+
+def _load() -> ctypes.CDLL:
+    path = Path(os.environ.get("VHP_KERNELS", LIBRARY))
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError as error:
+        raise KernelError(
+            f"the compiled kernels can't be loaded: {error}",
+            hint="reinstall the package, or run `python -m vhp_cli.kernels.build` in a source checkout",
+        ) from error
+
+
+_kernels = _load()
+
+
+def function(name: str, result: Any, arguments: Sequence[Any]) -> Any:
+    """Return C function `name` with its signature set."""
+    found = getattr(_kernels, name)
+    found.restype = result
+    found.argtypes = list(arguments)
+    return found
+
+
+def address(array: np.ndarray) -> int:
+    """Return the address of a C-contiguous array (the caller keeps the array alive)."""
+    assert array.flags.c_contiguous
+    return int(array.ctypes.data)
+
+
+def check_allocation(status: int) -> None:
+    """Raise for the status -1, by which a kernel says that memory ran out."""
+    if status == -1:
+        raise KernelError("out of memory in a compiled kernel", hint="check fewer tissues at a time, or use --jobs 1")

@@ -1,0 +1,174 @@
+"""What vhp measures and finds, in the form in which it is reported.
+
+Every record is a plain JSON value with a typed shape, so that rules, cache and reports share one
+form and nothing is converted on the way. Lengths are in mm, areas in mm2, volumes in mm3.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NotRequired, TypedDict
+
+Level = Literal["error", "warning", "note"]
+Relation = Literal["disjoint", "touching", "crossing", "a_inside_b", "b_inside_a", "identical"]
+Point = list[float]
+
+
+class Place(TypedDict):
+    """Where a defect is: a point in mm, and a face of the tissue it concerns (None: no single face)."""
+
+    xyz_mm: Point
+    face: int | None
+    tissue: NotRequired[str]  # named where a finding concerns several tissues
+    value: NotRequired[float]  # the measured value there (q, edge length, gap, ...)
+
+
+class Defect(TypedDict):
+    """All occurrences of one kind of defect in one tissue, with the worst or first places."""
+
+    count: int
+    places: list[Place]
+    detail: NotRequired[str]  # one clause for the message, such as "2 holes, the longest 31.4 mm around"
+    value: NotRequired[float]  # the worst measured value
+
+
+class Finding(TypedDict):
+    """One broken rule."""
+
+    rule: str
+    level: Level
+    tissues: list[str]
+    count: int
+    message: str
+    places: list[Place]
+    hint: str
+    known: NotRequired[bool]  # already in the baseline: does not fail the gate
+
+
+class Topology(TypedDict):
+    boundary_edges: int
+    boundary_loops: int
+    nonmanifold_edges: int
+    nonmanifold_vertices: int
+    inconsistent_edges: int
+    inward_components: int
+    duplicate_faces: int
+    degenerate_faces: int
+    collapsed_faces: int
+    unreferenced_vertices: int
+
+
+class Quality(TypedDict):
+    """q = 2 r_in / r_out of each triangle (thesis eq. 2.4)."""
+
+    min: float
+    p01: float
+    p05: float
+    p50: float
+    mean: float
+    histogram: list[int]  # 20 equal bins over [0, 1]
+
+
+class Spread(TypedDict):
+    min: float
+    mean: float
+    max: float
+
+
+class Bounds(TypedDict):
+    min: Point
+    max: Point
+
+
+class SelfIntersections(TypedDict):
+    """Pairs of faces of one tissue that meet where the mesh does not join them."""
+
+    faces: int
+    pairs: int
+    crossing: int
+    coplanar: int
+    folded: int
+    duplicate: int
+    touching: int
+
+
+class TissueMeasures(TypedDict):
+    """Everything measured on one tissue by itself; independent of name and rules."""
+
+    triangles: int
+    vertices: int
+    components: int
+    euler: int
+    genus: int | None  # None unless the tissue is a closed oriented 2-manifold
+    closed: bool
+    manifold: bool
+    oriented: bool
+    outward: bool
+    volume_mm3: float
+    area_mm2: float
+    bounds_mm: Bounds | None
+    centroid_mm: Point | None
+    topology: Topology
+    quality: Quality | None
+    size_mm: Spread | None  # r_out, the circumradius
+    edge_mm: Spread | None
+    min_dihedral_deg: float | None
+    self_intersections: SelfIntersections
+    defects: dict[str, Defect]  # by rule code
+
+
+class TissueRecord(TissueMeasures):
+    """One tissue of the report."""
+
+    name: str
+    file: str
+    sha256: str
+    format: str
+    tissue_type: str
+    findings: list[Finding]
+
+
+class PairMeasures(TypedDict):
+    """How two tissues lie to each other."""
+
+    relation: Relation
+    inside: Literal["a", "b", ""]  # which one lies within the other, also when they touch
+    min_gap_mm: float | None  # None: above the search limit
+    points_mm: list[Point] | None  # the two nearest points, on a and on b
+    faces: list[int] | None  # the two nearest faces, of a and of b
+    crossing_faces: int  # faces of either tissue in a transversal crossing
+    contact_faces: int  # faces of either tissue in any contact
+    coplanar_faces: int  # faces of either tissue that overlap a face of the other in its plane
+    overlap_mm3: float
+    undecided: bool  # one surface is open and the other lies in its mouth
+
+
+class PairRecord(PairMeasures):
+    a: str
+    b: str
+
+
+class Summary(TypedDict):
+    passed: bool
+    tissues: int
+    triangles: int
+    pairs: int
+    errors: int
+    warnings: int
+    notes: int
+    counts: dict[str, int]  # findings by rule
+
+
+class Report(TypedDict):
+    """The whole report; `run` is the only part that may differ between two runs on the same input."""
+
+    schema: str
+    tool: dict[str, object]
+    command: str
+    settings: dict[str, object]
+    model: dict[str, object]
+    summary: Summary
+    tissues: list[TissueRecord]
+    pairs: list[PairRecord]
+    nesting: dict[str, str | None]  # tissue -> the smallest tissue that contains it
+    findings: list[Finding]
+    run: dict[str, object]
