@@ -44,6 +44,10 @@ class Finding(TypedDict):
     known: NotRequired[bool]  # already in the baseline: does not fail the gate
 
 
+# What is wrong with one tissue by itself, by rule code.
+Defects = dict[str, Defect]
+
+
 class Topology(TypedDict):
     boundary_edges: int
     boundary_loops: int
@@ -113,7 +117,6 @@ class TissueMeasures(TypedDict):
     edge_mm: Spread | None
     min_dihedral_deg: float | None
     self_intersections: SelfIntersections
-    defects: dict[str, Defect]  # by rule code
 
 
 class TissueRecord(TissueMeasures):

@@ -43,44 +43,580 @@ class Rule:
 
 
 _TABLE = (
-    Rule("F001", "unreadable-file", "error", "The file can't be read as a triangle mesh."),
-    Rule("F002", "truncated-file", "error", "The file ends before the facets it announces."),
-    Rule("F003", "facet-count-mismatch", "error", "Header and contents disagree on the number of facets."),
-    Rule("F004", "not-finite", "error", "Coordinates are NaN, infinite or absurdly large."),
-    Rule("F005", "empty-file", "error", "The file holds no triangle."),
-    Rule("F006", "name-clash", "error", "Two files give the same tissue name."),
-    Rule("F007", "suspicious-unit", "warning", "The size suggests that the unit is not the millimetre."),
-    Rule("F008", "several-solids", "note", "The file holds several solids; they are read as one tissue."),
-    Rule("F009", "loose-syntax", "warning", "The file bends its format; other readers may refuse it."),
-    Rule("F010", "trailing-bytes", "warning", "Bytes follow the last facet."),
-    Rule("F011", "polygons", "note", "Faces with more than three corners were cut into triangles."),
-    Rule("T001", "open-edge", "error", "The surface has holes: edges with a face on one side only."),
-    Rule("T002", "non-manifold-edge", "error", "More than two faces meet at an edge."),
-    Rule("T003", "non-manifold-vertex", "error", "The faces around a vertex do not form one fan."),
-    Rule("T004", "inconsistent-orientation", "error", "Neighbouring faces are oriented against each other."),
-    Rule("T005", "inward-orientation", "error", "A closed part is turned inside out."),
-    Rule("T006", "duplicate-face", "error", "A face is stored more than once."),
-    Rule("T007", "several-components", "note", "The tissue has more separate parts than expected.", limit=1),
-    Rule("T008", "unexpected-genus", None, "The surface has more handles than expected.", limit=0),
-    Rule("T009", "unreferenced-vertex", "note", "Vertices belong to no face."),
-    Rule("X001", "self-crossing", "error", "Faces of one tissue cross each other."),
-    Rule("X002", "coplanar-overlap", "error", "Faces of one tissue overlap in one plane."),
-    Rule("X003", "folded-edge", "error", "Two faces at an edge lie flat on each other."),
-    Rule("X004", "self-touch", "error", "Faces of one tissue touch where they are not joined."),
-    Rule("X005", "sharp-fold", "warning", "The surface is folded back almost onto itself.", limit=0.1, unit="deg"),
-    Rule("Q001", "low-quality", "error", "A triangle is badly shaped: q = 2 r_in / r_out.", limit=0.01),
-    Rule("Q002", "short-edge", "error", "An edge is shorter than the solver resolves.", limit=0.01, unit="mm"),
-    Rule("Q003", "degenerate-face", "error", "A face has no area."),
-    Rule("Q004", "low-mean-quality", "warning", "The triangles of the tissue are badly shaped on average.", limit=0.5),
-    Rule("Q005", "face-budget", None, "The tissue has more triangles than the solver takes in.", limit=100_000),
-    Rule("Q006", "model-face-budget", None, "The model has more triangles than the solver takes in.", limit=1_000_000),
-    Rule("P001", "tissues-cross", "error", "Two tissues cross each other."),
-    Rule("P002", "tissues-touch", "error", "Two tissues touch."),
-    Rule("P003", "coincident-faces", "error", "Two tissues share a piece of surface."),
-    Rule("P004", "identical-tissues", "error", "Two tissues are copies of one surface."),
-    Rule("P005", "gap", "error", "Two tissues are closer than the gap that the solver needs.", limit=1.0, unit="mm"),
-    Rule("P006", "not-nested", "error", "A tissue is not inside the one that should enclose it."),
-    Rule("P007", "undecided-nesting", "warning", "A tissue lies in the mouth of an open surface."),
+    Rule(
+        "F001",
+        "unreadable-file",
+        "error",
+        "The file can't be read as a triangle mesh.",
+        why=(
+            "A tissue that can't be read is missing from the simulation, and an importer often says no more than that "
+            "the file is invalid or empty."
+        ),
+        example=(
+            "The file is a voxel volume, a zipped mesh or a web page with the extension .stl, or it may not be read by "
+            "this user."
+        ),
+        fix="Export the tissue again as binary STL, PLY or OBJ, or take the file out of the model directory.",
+    ),
+    Rule(
+        "F002",
+        "truncated-file",
+        "error",
+        "The file ends before the facets it announces.",
+        why="What is left has a hole where the missing facets were; some importers take it silently, others crash.",
+        example="A download or a copy was cut off, or the disk was full during the export.",
+        fix=(
+            "Copy or export the file again and compare its size with the original; do not heal a truncated file, its "
+            "shape is incomplete."
+        ),
+    ),
+    Rule(
+        "F003",
+        "facet-count-mismatch",
+        "error",
+        "Header and contents disagree on the number of facets.",
+        why=(
+            "One reader trusts the header, another the length of the file, so that two solvers simulate two different "
+            "bodies."
+        ),
+        example=(
+            "A script appended facets to a binary STL without updating the count at byte 80, or an ASCII file was "
+            "edited by hand."
+        ),
+        fix=(
+            "Export the tissue again from its source; if the facets in the file are complete, vhp heal writes them "
+            "with a correct header."
+        ),
+    ),
+    Rule(
+        "F004",
+        "not-finite",
+        "error",
+        "Coordinates are NaN, infinite or absurdly large.",
+        why=(
+            "One NaN makes the bounding box, the octree and every intersection test of an importer meaningless; CAD "
+            "kernels refuse or hang."
+        ),
+        example=(
+            "A smoothing or projection step divided by zero, or the bytes of the file were shifted during a text-mode "
+            "transfer."
+        ),
+        fix="Export the tissue again; look at the vertices named and repair the step that made them.",
+    ),
+    Rule(
+        "F005",
+        "empty-file",
+        "error",
+        "The file holds no triangle.",
+        why=(
+            "An empty object is dropped by most importers without a word, and its material is then missing from the "
+            "model."
+        ),
+        example="A segmentation label without voxels was exported, or a Boolean operation removed the whole tissue.",
+        fix="Segment or export the tissue again, or take the file out of the model directory.",
+    ),
+    Rule(
+        "F006",
+        "name-clash",
+        "error",
+        "Two files give the same tissue name.",
+        why=(
+            "Materials, priorities and results are assigned by name: with two tissues of one name, one replaces the "
+            "other or gets its material."
+        ),
+        example=(
+            "Liver.stl and Liver.ply lie in one directory, or two names differ only in characters that a solver "
+            "replaces, such as a blank and an underscore."
+        ),
+        fix="Rename one of the files, or remove the one that is out of date.",
+    ),
+    Rule(
+        "F007",
+        "suspicious-unit",
+        "warning",
+        "The size suggests that the unit is not the millimetre.",
+        why=(
+            "STL has no unit: a solver that reads metres as millimetres simulates a body a thousand times too small, "
+            "and its features fall below the smallest length of the CAD kernel (1e-6 units in HFSS)."
+        ),
+        example="A liver 0.2 wide was exported in metres, or one 20 wide in centimetres.",
+        fix="Name the unit with --units (um, cm, in or m), or scale the file once and for all to millimetres.",
+    ),
+    Rule(
+        "F008",
+        "several-solids",
+        "note",
+        "The file holds several solids; they are read as one tissue.",
+        why="Solvers differ here: some import each solid as an object of its own, some only the first.",
+        example="An ASCII STL holds 'solid left' and 'solid right', as written by an export of a selection.",
+        fix=(
+            "If the solids are different tissues, write one file for each; otherwise nothing needs to be done, vhp "
+            "writes one solid."
+        ),
+    ),
+    Rule(
+        "F009",
+        "loose-syntax",
+        "warning",
+        "The file bends its format; other readers may refuse it.",
+        why="vhp could read the file without a guess, but a stricter importer may refuse it or read it differently.",
+        example=(
+            "An ASCII STL lacks 'endsolid', has keywords in odd case or spacing, or a binary STL begins with the word "
+            "'solid'."
+        ),
+        fix="Write the file anew in clean form: every file that vhp writes, such as the result of vhp heal, is.",
+    ),
+    Rule(
+        "F010",
+        "trailing-bytes",
+        "warning",
+        "Bytes follow the last facet.",
+        why="A strict importer compares the length of the file with the facet count and refuses what does not agree.",
+        example=(
+            "Two files were joined with cat, an exporter padded the file to a block size, or a footer with colours "
+            "follows."
+        ),
+        fix="Check that no facets are lost behind the end; then write the file anew, for instance with vhp heal.",
+    ),
+    Rule(
+        "F011",
+        "polygons",
+        "note",
+        "Faces with more than three corners were cut into triangles.",
+        why=(
+            "STL holds triangles only, and a polygon that is not flat can be cut in several ways, each giving a "
+            "slightly different surface."
+        ),
+        example="An OBJ or PLY file from a modelling program with quadrilateral faces.",
+        fix="Nothing needs to be done; to choose the cut yourself, triangulate before the export.",
+    ),
+    Rule(
+        "F012",
+        "not-checked",
+        "error",
+        "The check could not be finished.",
+        why="Nothing is known of the tissue or the pair, so the model can't be called fit for a solver.",
+        example="The machine ran out of memory, the time limit was reached, or a mesh hit an error of vhp itself.",
+        fix=(
+            "Run the check again with more memory or time, or fewer jobs; if it fails again, please report the file as "
+            "a bug of vhp."
+        ),
+    ),
+    Rule(
+        "F012",
+        "not-processed",
+        "error",
+        "The tissue could not be processed.",
+        why="What was not checked can't be called fit; the rest of the model was still checked.",
+        example="The machine ran out of memory, or the file changed while it was being checked.",
+        fix="Run the check again with more memory or with --jobs 1; the message says what went wrong.",
+    ),
+    Rule(
+        "F013",
+        "not-checked",
+        "warning",
+        "The directory holds meshes that are no part of the check.",
+        why="A model passes as a whole or not at all: a tissue that nobody looked at may be the one that crosses.",
+        example="A tissue was exported as OFF or glTF, is compressed, or lies in a subdirectory.",
+        fix="Convert the files to STL, PLY or OBJ, use --recursive, or move them out of the model directory.",
+    ),
+    Rule(
+        "T001",
+        "open-edge",
+        "error",
+        "The surface has holes: edges with a face on one side only.",
+        why=(
+            "A surface with a hole has no inside: CAD importers take it for a sheet, which gets no volume material, "
+            "and a tetrahedral mesher leaks through the hole and loses the region."
+        ),
+        example=(
+            "A segmentation that ends at the border of the scan, a deleted bad triangle, or vertices that differ in "
+            "the last digit so that neighbours do not join."
+        ),
+        fix=(
+            "vhp heal closes holes; a wide opening, such as a vessel cut off by the scan, is better capped by hand "
+            "where the tissue should end."
+        ),
+    ),
+    Rule(
+        "T002",
+        "non-manifold-edge",
+        "error",
+        "More than two faces meet at an edge.",
+        why=(
+            "Solid modellers accept only surfaces where each edge has two faces; HFSS does not mesh a non-manifold "
+            "object, and inside and outside are undefined along the edge."
+        ),
+        example=(
+            "Two lobes that meet in an edge after marching cubes, an inner wall left by a Boolean union, or a fin of "
+            "stray triangles."
+        ),
+        fix=(
+            "vhp heal separates the sheets or removes the inner wall; by hand, delete the superfluous faces at the "
+            "places listed and close the hole."
+        ),
+    ),
+    Rule(
+        "T003",
+        "non-manifold-vertex",
+        "error",
+        "The faces around a vertex do not form one fan.",
+        why=(
+            "The surface pinches to a point without thickness there; CAD kernels reject such a body and element size "
+            "goes to zero around the point in a tetrahedral mesh."
+        ),
+        example="Two parts of a segmentation that touch in one voxel corner share a vertex.",
+        fix="vhp heal splits the vertex and moves the two fans apart.",
+    ),
+    Rule(
+        "T004",
+        "inconsistent-orientation",
+        "error",
+        "Neighbouring faces are oriented against each other.",
+        why=(
+            "Normals tell the solver where the inside is; where they change sides the volume is computed wrong and the "
+            "importer flips, splits or refuses the body."
+        ),
+        example=(
+            "Two patches of different orientation were stitched together, or triangles were added by hand in the wrong "
+            "order."
+        ),
+        fix=(
+            "vhp heal turns the faces of each part to one side; a one-sided surface (Moebius band) can't be oriented "
+            "and has to be cut."
+        ),
+    ),
+    Rule(
+        "T005",
+        "inward-orientation",
+        "error",
+        "A closed part is turned inside out.",
+        why=(
+            "The part has a negative volume: a solver takes its outside for the inside, and a signed-distance or "
+            "winding-number test answers the opposite of the truth."
+        ),
+        example=(
+            "A mirrored left-right copy whose triangles were not reversed, or an exporter with y and z exchanged. An "
+            "inner wall of a hollow tissue does point inwards and is not reported."
+        ),
+        fix="vhp heal turns the part over; by hand, use 'flip normals' in any mesh editor.",
+    ),
+    Rule(
+        "T006",
+        "duplicate-face",
+        "error",
+        "A face is stored more than once.",
+        why=(
+            "Two faces in one place make every edge between them belong to four faces or enclose no volume; "
+            "tetrahedral meshers stop with duplicate facets."
+        ),
+        example="A surface was exported twice into one file, or a merge kept both copies of a common wall.",
+        fix="vhp heal keeps one of the copies, or none where two opposite ones cancel out.",
+    ),
+    Rule(
+        "T007",
+        "several-components",
+        "note",
+        "The tissue has more separate parts than expected.",
+        why=(
+            "Loose bits far from the tissue cost mesh cells and can hide a forgotten fragment of another tissue; HFSS "
+            "imports them as one object of several lumps."
+        ),
+        example=(
+            "Specks left by thresholding a scan; but paired organs, such as kidneys in one file, have two parts "
+            "rightly."
+        ),
+        fix=(
+            "Remove the specks before the export, or set the limit of T007 for the tissue in vhp.toml to the number of "
+            "parts it has."
+        ),
+        limit=1,
+    ),
+    Rule(
+        "T008",
+        "unexpected-genus",
+        None,
+        "The surface has more handles than expected.",
+        why=(
+            "A handle or tunnel that anatomy does not have is a segmentation error and makes current paths that do not "
+            "exist."
+        ),
+        example="Two gyri of the cortex touch and fuse to a bridge; the aorta closes to a ring.",
+        fix=(
+            "Correct the segmentation at the bridge, or set the limit of T008 for the tissue in vhp.toml to the genus "
+            "it has."
+        ),
+        limit=0,
+    ),
+    Rule(
+        "T009",
+        "unreferenced-vertex",
+        "note",
+        "Vertices belong to no face.",
+        why=(
+            "The stray points do no harm to a solver that reads faces, but they spoil bounding boxes, point clouds and "
+            "file size."
+        ),
+        example="Faces were deleted from a PLY or OBJ file, their vertices were not.",
+        fix="Nothing needs to be done: whatever vhp writes holds the used vertices only.",
+    ),
+    Rule(
+        "X001",
+        "self-crossing",
+        "error",
+        "Faces of one tissue cross each other.",
+        why=(
+            "A surface that cuts through itself encloses no definite volume: CST rejects it in its self-intersection "
+            "check, TetGen and Netgen stop with intersecting facets, and HFSS fails when it meshes the object."
+        ),
+        example=(
+            "Smoothing or decimation of a thin tissue pushed one wall through the opposite one; joined nerve segments "
+            "overlap at their ends."
+        ),
+        fix="vhp heal resolves the crossings; by hand, remesh or move the vertices of the faces listed.",
+    ),
+    Rule(
+        "X002",
+        "coplanar-overlap",
+        "error",
+        "Faces of one tissue overlap in one plane.",
+        why=(
+            "Faces that overlap in one plane make a wall of no thickness; a mesher can't decide which of them bounds "
+            "the volume."
+        ),
+        example="A decimated flat region whose triangles slid over each other, or two boxes joined at a common wall.",
+        fix="vhp heal resolves the overlap; by hand, delete the faces listed and fill the hole anew.",
+    ),
+    Rule(
+        "X003",
+        "folded-edge",
+        "error",
+        "Two faces at an edge lie flat on each other.",
+        why=(
+            "The two faces enclose an angle of zero, so that no tetrahedron fits between them; TetGen refuses facets "
+            "that overlap at a shared edge."
+        ),
+        example="An edge flip or a collapsed vertex folded a triangle back onto its neighbour.",
+        fix="vhp heal unfolds or removes the pair; by hand, delete both faces and fill the hole.",
+    ),
+    Rule(
+        "X004",
+        "self-touch",
+        "error",
+        "Faces of one tissue touch where they are not joined.",
+        why=(
+            "Where the surface touches itself the body is not a manifold, although each edge has two faces: CAD "
+            "kernels with a tolerance merge the points and get a non-manifold body."
+        ),
+        example=(
+            "A vertex of one fold of the cortex lies exactly on a face of the next one, often after rounding to a grid "
+            "or to float32."
+        ),
+        fix=(
+            "vhp heal moves the touching walls apart; by hand, pull the vertex listed off the face by more than the "
+            "tolerance of the CAD kernel."
+        ),
+    ),
+    Rule(
+        "X005",
+        "sharp-fold",
+        "warning",
+        "The surface is folded back almost onto itself.",
+        why=(
+            "Tetrahedra in the fold get dihedral angles as small as the fold itself; solvers converge slowly or reject "
+            "the mesh, and below about 0.1 degree TetGen takes the faces for overlapping."
+        ),
+        example="A sliver at the rim of a thin tissue that was smoothed or decimated.",
+        fix="vhp heal or vhp smooth opens the fold; by hand, collapse the short edge opposite the fold.",
+        limit=0.1,
+        unit="deg",
+    ),
+    Rule(
+        "Q001",
+        "low-quality",
+        "error",
+        "A triangle is badly shaped: q = 2 r_in / r_out.",
+        why=(
+            "The quality of a surface triangle (1 equilateral, 0 degenerate) bounds that of the tetrahedra on it: "
+            "needles and caps give badly conditioned matrices, tiny time steps, and failed imports where the height "
+            "falls below the CAD tolerance."
+        ),
+        example="Thin tubes built from segments, such as nerves (7e-07 for one median nerve), or raw marching cubes.",
+        fix="vhp smooth raises the quality and keeps the shape; vhp heal collapses what smoothing can't save.",
+        limit=0.01,
+    ),
+    Rule(
+        "Q002",
+        "short-edge",
+        "error",
+        "An edge is shorter than the solver resolves.",
+        why=(
+            "CAD kernels merge points closer than their tolerance and tear the surface (HFSS resolves 1e-6 units, and "
+            "advises features above 1e-3); an adaptive mesher refines down to the edge and runs out of memory."
+        ),
+        example=(
+            "Two nearly equal vertices left where parts were joined, or marching cubes cutting a corner of a voxel."
+        ),
+        fix=(
+            "vhp heal or vhp decimate collapses such edges; lower the limit in vhp.toml only if the solver resolves "
+            "them."
+        ),
+        limit=0.01,
+        unit="mm",
+    ),
+    Rule(
+        "Q003",
+        "degenerate-face",
+        "error",
+        "A face has no area.",
+        why=(
+            "A face without area has no normal: importers drop it, which leaves a hole or a T-junction, or stop with "
+            "an error."
+        ),
+        example=(
+            "Two corners are the same point, or the three lie on one line, often after rounding coordinates to few "
+            "digits."
+        ),
+        fix="vhp heal removes the face and keeps its neighbours joined; export with full float32 precision.",
+    ),
+    Rule(
+        "Q004",
+        "low-mean-quality",
+        "warning",
+        "The triangles of the tissue are badly shaped on average.",
+        why=(
+            "A tissue of mostly poor triangles needs more cells for the same accuracy, even if none of them is bad "
+            "enough to fail."
+        ),
+        example="A raw marching-cubes surface, or a decimation by edge collapse without regard to shape.",
+        fix="vhp smooth MODEL -o OUT, or remesh the tissue with a uniform edge length.",
+        limit=0.5,
+    ),
+    Rule(
+        "Q005",
+        "face-budget",
+        None,
+        "The tissue has more triangles than the solver takes in.",
+        why=(
+            "CST converts every STL triangle to a CAD face, and other CAD kernels do much the same: import and meshing "
+            "time grow from seconds to hours."
+        ),
+        example="A full-resolution segmentation of the skin with a million triangles.",
+        fix="vhp decimate MODEL -o OUT reduces the tissue to a budget without new defects.",
+        limit=100_000,
+    ),
+    Rule(
+        "Q006",
+        "model-face-budget",
+        None,
+        "The model has more triangles than the solver takes in.",
+        why=(
+            "All tissues are loaded together: the sum decides whether the model can be opened and meshed at all in the "
+            "memory of a workstation."
+        ),
+        example="Each tissue keeps to its budget, but there are 300 of them.",
+        fix="vhp decimate MODEL -o OUT; start with the tissues that have the smallest triangles for their size.",
+        limit=1_000_000,
+    ),
+    Rule(
+        "P001",
+        "tissues-cross",
+        "error",
+        "Two tissues cross each other.",
+        why=(
+            "One point can't be of two materials: HFSS refuses to solve with intersecting parts, CST silently gives "
+            "the overlap to the tissue of higher priority, and a conforming tetrahedral mesher stops."
+        ),
+        example="Tissues were segmented or smoothed one by one, so that neighbouring walls ran through each other.",
+        fix=(
+            "vhp heal --clearance separates the tissues; by hand, move the walls apart at the places listed or "
+            "subtract one tissue from the other with a gap."
+        ),
+    ),
+    Rule(
+        "P002",
+        "tissues-touch",
+        "error",
+        "Two tissues touch.",
+        why=(
+            "A contact in a point or along a line makes the union of the two bodies non-manifold, and whether a solver "
+            "sees a contact or a crossing depends on its tolerance."
+        ),
+        example="Bones in a joint, or organs drawn up to each other, meet in single vertices.",
+        fix="vhp heal --clearance opens a gap; if the contact is meant, name the two as [[may-touch]] in vhp.toml.",
+    ),
+    Rule(
+        "P003",
+        "coincident-faces",
+        "error",
+        "Two tissues share a piece of surface.",
+        why=(
+            "Each body brings its own copy of the common wall; unless both are triangulated alike, a solver finds "
+            "thousands of tiny crossings, and if alike, doubled faces."
+        ),
+        example=(
+            "Two labels of one segmentation share a boundary, such as grey and white matter from one marching-cubes "
+            "run."
+        ),
+        fix=(
+            "vhp heal --clearance opens a gap between the two; for a solver that wants shared walls, mesh them "
+            "together with vhp tetmesh."
+        ),
+    ),
+    Rule(
+        "P004",
+        "identical-tissues",
+        "error",
+        "Two tissues are copies of one surface.",
+        why=(
+            "Two bodies fill the same space: one of the materials is ignored, and which one depends on the order of "
+            "import."
+        ),
+        example="A file was copied under a second name, or left and right were exported from the same label.",
+        fix="Remove one of the two, or export the tissue that was meant.",
+    ),
+    Rule(
+        "P005",
+        "gap",
+        "error",
+        "Two tissues are closer than the gap that the solver needs.",
+        why=(
+            "Within a narrow gap a mesher needs cells as small as the gap, and rounding or CAD tolerance can close it; "
+            "a gap of 1 mm, the thickness of the membranes between tissues, keeps a model portable between solvers."
+        ),
+        example="Neighbouring organs at 0.05 mm after independent smoothing.",
+        fix="vhp heal --clearance keeps the gap asked for; or set the limit in vhp.toml to what the solver resolves.",
+        limit=1.0,
+        unit="mm",
+    ),
+    Rule(
+        "P006",
+        "not-nested",
+        "error",
+        "A tissue is not inside the one that should enclose it.",
+        why=(
+            "Solvers find the material of a shell by subtracting what lies inside; a tissue that sticks out or lies "
+            "elsewhere makes them subtract too much or nothing."
+        ),
+        example=(
+            "White matter that pierces grey matter at one gyrus, or a tissue exported in another coordinate system."
+        ),
+        fix=(
+            "Bring the tissue inside by hand or with vhp heal --clearance, or correct the [[nested]] entry in vhp.toml."
+        ),
+    ),
+    Rule(
+        "P007",
+        "undecided-nesting",
+        "warning",
+        "A tissue lies in the mouth of an open surface.",
+        why=(
+            "Whether a point is inside an open surface has no answer, so the nesting of this pair, and with it the "
+            "material between the two, is unknown."
+        ),
+        example="A lung lies in a thorax shell that is open at the neck.",
+        fix="Close the outer surface (see T001) and check again.",
+    ),
 )
 
 RULES: dict[str, Rule] = {rule.code: rule for rule in _TABLE}

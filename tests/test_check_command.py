@@ -1,0 +1,259 @@
+"""``vhp check`` as a user runs it."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from shapes import box, moved, sphere
+
+from vhp_cli.cli import main
+from vhp_cli.commands.check import check
+from vhp_cli.formats import write_mesh
+from vhp_cli.mesh import Mesh
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path_factory, monkeypatch):
+    monkeypatch.setenv("VHP_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
+
+
+@pytest.fixture
+def model(tmp_path) -> Path:
+    directory = tmp_path / "model"
+    directory.mkdir()
+    write_mesh(directory / "skin.stl", sphere(60, subdivisions=3))
+    write_mesh(directory / "liver.stl", sphere(15, (20, 0, 0), subdivisions=3))
+    write_mesh(directory / "optic_nerve_left.stl", box((-20, -1, -1), (-5, 1, 1)))
+    return directory
+
+
+def run(*arguments) -> tuple[int, dict]:
+    """Return exit code and JSON report."""
+    result = CliRunner().invoke(check, [str(argument) for argument in arguments] + ["--report", "-"])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result.exit_code, json.loads(result.stdout)
+
+
+def rules(report) -> set[str]:
+    return {finding["rule"] for finding in report["findings"]}
+
+
+def test_a_sound_model_passes(model):
+    code, report = run(model)
+    assert code == 0 and report["findings"] == [] and report["summary"]["passed"]
+    assert report["summary"]["tissues"] == 3
+    assert report["nesting"] == {"liver": "skin", "optic_nerve_left": "skin", "skin": None}
+    assert [tissue["tissue_type"] for tissue in report["tissues"]] == ["organ", "nerve", "shell"]
+
+
+def test_every_fixed_key_is_there(model):
+    write_mesh(model / "spleen.stl", sphere(10, (20, 14, 0)))
+    _, report = run(model)
+    assert {"passed", "tissues", "triangles", "counts"} <= report["summary"].keys()
+    for tissue in report["tissues"]:
+        assert {
+            "name", "file", "triangles", "vertices", "components", "genus", "closed", "manifold", "oriented",
+            "outward", "volume_mm3", "area_mm2", "topology", "quality", "edge_mm", "self_intersections", "findings",
+        } <= tissue.keys()  # fmt: skip
+        assert {
+            "boundary_edges", "nonmanifold_edges", "nonmanifold_vertices", "inconsistent_edges", "duplicate_faces",
+            "degenerate_faces",
+        } <= tissue["topology"].keys()  # fmt: skip
+        assert {"min", "mean", "p01", "histogram"} <= tissue["quality"].keys()
+        assert {"min", "mean", "max"} <= tissue["edge_mm"].keys()
+        assert {"faces", "pairs"} <= tissue["self_intersections"].keys()
+    assert report["pairs"]
+    for pair in report["pairs"]:
+        assert {"a", "b", "relation", "min_gap_mm", "crossing_faces", "overlap_mm3"} <= pair.keys()
+    for finding in report["findings"]:
+        assert {"rule", "level", "tissues", "count", "message", "places"} <= finding.keys()
+        assert all({"xyz_mm", "face"} <= place.keys() for place in finding["places"])
+
+
+def test_crossing_tissues_fail(model):
+    write_mesh(model / "spleen.stl", sphere(10, (20, 20, 0)))
+    code, report = run(model)
+    assert code == 1 and "P001" in rules(report)
+    finding = next(finding for finding in report["findings"] if finding["rule"] == "P001")
+    assert finding["tissues"] == ["liver", "spleen"]
+    assert report["summary"]["counts"]["P001"] == 1
+
+
+def test_gap_limit(model):
+    write_mesh(model / "stone.stl", box((-20, 2.5, -1), (-5, 4, 1)))
+    assert run(model)[0] == 0
+    code, report = run(model, "--gap", "2")
+    assert code == 1 and rules(report) == {"P005"}
+    assert report["pairs"][-1]["min_gap_mm"] == pytest.approx(1.5)
+    assert run(model, "--gap", "2", "--ignore", "P005")[0] == 0
+    _, wide = run(model, "--gap-search", "inf")
+    assert all(pair["min_gap_mm"] is not None for pair in wide["pairs"]) and len(wide["pairs"]) == 6
+
+
+def test_unreadable_file_is_a_finding_and_the_rest_is_checked(model):
+    (model / "heart.stl").write_bytes(b"this is no mesh")
+    (model / "kidney.stl").write_bytes(b"")
+    code, report = run(model)
+    assert code == 1
+    assert {finding["tissues"][0] for finding in report["findings"] if finding["rule"] in ("F001", "F005")} == {"heart", "kidney"}
+    assert report["summary"]["tissues"] == 5
+    liver = next(tissue for tissue in report["tissues"] if tissue["name"] == "liver")
+    assert liver["outward"]
+
+
+def test_nothing_readable_is_a_usage_error(tmp_path, capsys):
+    (tmp_path / "a.stl").write_bytes(b"garbage")
+    assert main(["check", str(tmp_path)]) == 2
+    message = capsys.readouterr().err
+    assert "a.stl" in message and "Traceback" not in message
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["nowhere"], ["--profile", "lenient", "."], ["--min-q", "2", "."], ["--select", "Z", "."], ["--config", "no.toml", "."], []],
+)
+def test_wrong_usage(arguments, capsys):
+    assert main(["check", *arguments]) == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_jobs_and_cache_do_not_change_the_report(model):
+    write_mesh(model / "spleen.stl", sphere(10, (20, 20, 0)))
+    reports = [run(model, *options)[1] for options in (["-j1", "--no-cache"], ["-j3", "--no-cache"], [], [], ["-j2"])]
+    for report in reports:
+        report.pop("run")
+    assert all(report == reports[0] for report in reports)
+
+
+def test_cache_sees_every_change(model):
+    assert run(model)[0] == 0
+    write_mesh(model / "liver.stl", moved(sphere(15, (20, 0, 0), subdivisions=3), (-30, 0, 0)))
+    code, report = run(model)
+    assert code == 1 and rules(report) == {"P001"}
+    data = bytearray((model / "skin.stl").read_bytes())
+    data[80:84] = np.uint32(5000).tobytes()
+    (model / "skin.stl").write_bytes(data)
+    assert "F002" in rules(run(model)[1]) or "F003" in rules(run(model)[1])
+
+
+def test_a_damaged_cache_costs_time_only(model, monkeypatch):
+    directory = Path(os.environ["VHP_CACHE_DIR"])
+    first = run(model)[1]
+    for damage in (b"", b"{", b"[]", b'{"stamp": 1}'):
+        for file in directory.glob("*.json"):
+            file.write_bytes(damage)
+        again = run(model)[1]
+        assert again["tissues"] == first["tissues"]
+
+
+def test_reports_in_every_form(model, tmp_path):
+    targets = [tmp_path / name for name in ("r.json", "r.jsonl", "r.csv", "r.md", "r.xml", "r.sarif", "r.txt")]
+    options = [text for target in targets for text in ("--report", str(target))]
+    result = CliRunner().invoke(check, [str(model), *options, "-o", str(tmp_path / "out")])
+    assert result.exit_code == 0
+    assert all(target.stat().st_size > 100 for target in targets)
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["summary"]["passed"]
+    assert CliRunner().invoke(check, [str(model), "--report", "r.pdf"]).exit_code != 0
+
+
+def test_report_validates_against_the_published_schema(model):
+    jsonschema = pytest.importorskip("jsonschema")
+    from vhp_cli.report import schema
+
+    write_mesh(model / "spleen.stl", sphere(10, (20, 20, 0)))
+    (model / "heart.stl").write_bytes(b"this is no mesh")
+    jsonschema.Draft202012Validator(schema()).validate(run(model)[1])
+
+
+def test_baseline_lets_old_findings_pass(model, tmp_path):
+    write_mesh(model / "spleen.stl", sphere(10, (20, 20, 0)))
+    old = tmp_path / "old.json"
+    _, report = run(model)
+    old.write_text(json.dumps(report))
+    code, report = run(model, "--baseline", old)
+    assert code == 0 and report["findings"][0]["known"]
+    write_mesh(model / "stone.stl", box((-8, -2, -2), (-4, 2, 2)))
+    code, report = run(model, "--baseline", old)
+    assert code == 1 and not next(f for f in report["findings"] if "stone" in f["tissues"]).get("known")
+
+
+def test_units(model, tmp_path):
+    metres = tmp_path / "metres"
+    metres.mkdir()
+    for path in model.glob("*.stl"):
+        from vhp_cli.formats import read_mesh
+
+        mesh = read_mesh(path).mesh
+        write_mesh(metres / path.name, Mesh(mesh.vertices / 1000, mesh.faces))
+    code, report = run(metres, "--units", "m")
+    assert code == 0
+    skin = next(tissue for tissue in report["tissues"] if tissue["name"] == "skin")
+    assert skin["volume_mm3"] == pytest.approx(4 / 3 * np.pi * 60**3, rel=0.03)
+    assert "F007" in rules(run(metres)[1])
+
+
+def test_declared_nesting_and_contact(model):
+    (model / "vhp.toml").write_text(
+        '[[nested]]\ninner = "liver"\nouter = "skin"\n[[nested]]\ninner = "optic*"\nouter = "liver"\n'
+    )
+    code, report = run(model)
+    assert code == 1 and rules(report) == {"P006"} and len(report["findings"]) == 1
+    (model / "vhp.toml").write_text('[[may-touch]]\na = "disc"\nb = "optic*"\n')
+    write_mesh(model / "disc.stl", box((-20, 1, -1), (-5, 3, 1)))
+    assert run(model)[0] == 0
+    (model / "vhp.toml").unlink()
+    code, report = run(model)
+    assert code == 1 and rules(report) == {"P003"}
+
+
+def test_inputs_are_never_touched(model):
+    before = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in model.iterdir()}
+    run(model)
+    assert before == {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in model.iterdir()}
+
+
+def test_from_the_shell(model):
+    """Exit code, pure JSON on stdout, nothing on stderr."""
+    (model / "bad.stl").write_bytes((model / "liver.stl").read_bytes()[:-30])
+    done = subprocess.run(
+        [sys.executable, "-m", "vhp_cli", "check", str(model), "--report", "-"], capture_output=True, check=False
+    )
+    assert done.returncode == 1 and done.stderr == b""
+    assert "F002" in rules(json.loads(done.stdout))
+
+
+def test_dry_run_lists_tissues(model):
+    result = CliRunner().invoke(check, [str(model), "--dry-run"])
+    assert result.exit_code == 0 and result.stdout.splitlines()[0].split("\t")[:2] == ["liver", "organ"]
+
+
+def test_memory_limit_is_an_error_of_that_tissue_alone(model):
+    """A tissue that needs more memory than there is fails; the others are still checked."""
+    resource = pytest.importorskip("resource")
+    vertices = np.random.default_rng(0).uniform(0, 100, (900_000, 3))
+    write_mesh(model / "huge.stl", Mesh(vertices, np.arange(900_000).reshape(-1, 3)))
+    code = (
+        "import resource, sys; import numpy, vhp_cli.pipeline.check, vhp_cli.report.as_json;"
+        "used = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize();"
+        f"resource.setrlimit(resource.RLIMIT_AS, (used + 130_000_000,) * 2);"
+        "from vhp_cli.cli import main; sys.exit(main(sys.argv[1:]))"
+    )
+    if not shutil.which("true") or not Path("/proc/self/statm").exists() or not hasattr(resource, "RLIMIT_AS"):
+        pytest.skip("needs /proc and RLIMIT_AS")
+    done = subprocess.run(
+        [sys.executable, "-c", code, "check", str(model), "--report", "-", "-j1", "--no-cache"],
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == 3, done.stderr.decode()
+    report = json.loads(done.stdout)
+    assert [f["tissues"] for f in report["findings"] if f["rule"] == "F012"] == [["huge"]]
+    assert next(t for t in report["tissues"] if t["name"] == "liver")["outward"]

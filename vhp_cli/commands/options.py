@@ -1,0 +1,102 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+REPORT_SUFFIXES = {
+    ".json": "json",
+    ".jsonl": "jsonl",
+    ".csv": "csv",
+    ".md": "markdown",
+    ".xml": "junit",
+    ".sarif": "sarif",
+    ".txt": "table",
+}
+FORMATS = ("table", "json", "jsonl", "csv", "markdown", "junit", "sarif", "github")
+
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+
+
+class CommaList(click.ParamType):
+    """A list of texts, separated by commas."""
+
+    name = "list"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[str]:
+        """Split `value` at commas."""
+        return [part.strip() for part in value.split(",") if part.strip()] if isinstance(value, str) else list(value)
+
+
+def _combined(*decorators: Decorator) -> Decorator:
+    def apply(function: Callable[..., Any]) -> Callable[..., Any]:
+        for decorator in reversed(decorators):
+            function = decorator(function)
+        return function
+
+    return apply
+
+
+model_options = _combined(
+    click.argument(
+        "model", nargs=-1, required=True, metavar="MODEL...", type=click.Path(path_type=Path)
+    ),
+    click.option("--recursive", is_flag=True, help="Search the directory to any depth."),
+    click.option(
+        "--units",
+        type=click.Choice(["um", "mm", "cm", "in", "m"]),
+        help="Unit of the files; everything is measured and reported in mm. [default: mm]",
+    ),
+    click.option(
+        "--weld-tolerance",
+        type=click.FloatRange(min=0),
+        metavar="MM",
+        help="Join vertices closer than this; 0 joins equal coordinates only. [default: 0]",
+    ),
+)
+
+judging_options = _combined(
+    click.option(
+        "--config",
+        type=click.Path(path_type=Path, dir_okay=False),
+        help="Settings file. [default: vhp.toml in MODEL, else [tool.vhp] of its pyproject.toml]",
+    ),
+    click.option("--profile", metavar="NAME", help="What the model must be fit for: strict, hfss, cst, print."),
+    click.option("--select", type=CommaList(), default=(), metavar="RULES", help="Only these rules: X,T001,..."),
+    click.option("--ignore", type=CommaList(), default=(), metavar="RULES", help="Leave these rules out."),
+    click.option("--min-q", type=click.FloatRange(0, 1), metavar="Q", help="Limit of Q001, q = 2 r_in / r_out."),
+    click.option("--min-edge", type=click.FloatRange(min=0), metavar="MM", help="Limit of Q002, shortest edge."),
+    click.option("--gap", type=click.FloatRange(min=0), metavar="MM", help="Limit of P005, gap between tissues."),
+    click.option(
+        "--gap-search",
+        type=click.FloatRange(min=0),
+        metavar="MM",
+        help="Measure and report gaps up to this; 'inf' measures all. [default: the gap limit]",
+    ),
+)
+
+report_options = _combined(
+    click.option(
+        "--report",
+        "reports",
+        multiple=True,
+        metavar="FILE|-",
+        help="Write the report to a file, in the form that its suffix names (.json .jsonl .csv .md .xml=JUnit "
+        ".sarif .txt); '-': JSON on stdout instead of the table. May be given several times.",
+    ),
+    click.option(
+        "--format",
+        "form",
+        type=click.Choice(FORMATS),
+        help="Form of what goes to stdout. [default: table; json with '--report -']",
+    ),
+)
+
+run_options = _combined(
+    click.option("--jobs", "-j", type=click.IntRange(min=1), metavar="N", help="Threads. [default: all cores]"),
+    click.option("--cache/--no-cache", default=True, help="Keep results between runs. [default: on]"),
+)

@@ -1,0 +1,1 @@
+"""Inspection: meshes in, measures out. Nothing here knows of rules' levels, files or reports."""

@@ -1,0 +1,58 @@
+"""Self-intersections of one surface, told apart by kind; exact on the coordinates as stored."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from vhp_cli.inspection.places import MAX_PLACES, contact_point
+from vhp_cli.kernels.spatial import (
+    KIND_COPLANAR,
+    KIND_CROSSING,
+    KIND_DUPLICATE,
+    KIND_FOLD,
+    KIND_TOUCH,
+    Hits,
+    Tree,
+)
+from vhp_cli.measures import Defects, Place, SelfIntersections
+from vhp_cli.mesh import Mesh
+
+# Duplicate faces are counted among the pairs but have a topology rule of their own.
+_RULE_OF_KIND = {KIND_CROSSING: "X001", KIND_COPLANAR: "X002", KIND_FOLD: "X003", KIND_TOUCH: "X004"}
+
+
+def self_intersections(mesh: Mesh, tree: Tree) -> tuple[SelfIntersections, Defects]:
+    """Return how many faces of a mesh meet where it does not join them, and the defects by rule code."""
+    hits = tree.self_hits()
+    record: SelfIntersections = {
+        "faces": hits.faces_a,
+        "pairs": hits.n_pairs,
+        "crossing": int(hits.counts[KIND_CROSSING]),
+        "coplanar": int(hits.counts[KIND_COPLANAR]),
+        "folded": int(hits.counts[KIND_FOLD]),
+        "duplicate": int(hits.counts[KIND_DUPLICATE]),
+        "touching": int(hits.counts[KIND_TOUCH]),
+    }
+    defects: Defects = {}
+    for kind, code in _RULE_OF_KIND.items():
+        if hits.counts[kind]:
+            listed = hits.pairs[hits.kinds == kind]
+            places = _places(mesh, listed[:MAX_PLACES])
+            defects[code] = {"count": int(hits.counts[kind]), "places": places}
+    return record, defects
+
+
+def _places(mesh: Mesh, pairs: Iterable[np.ndarray]) -> list[Place]:
+    corners = mesh.vertices[mesh.faces[np.asarray(pairs)]] if len(pairs) else ()  # type: ignore[arg-type]
+    return [
+        {"xyz_mm": contact_point(first, second), "face": int(pair[0])}
+        for pair, (first, second) in zip(pairs, corners, strict=True)
+    ]
+
+
+def worst_contact(a: Mesh, b: Mesh, hits: Hits) -> tuple[list[float], list[int]]:
+    """Return a point of contact of two meshes and the two faces (of a, of b) that meet there."""
+    first, second = (int(face) for face in hits.pairs[0])
+    return contact_point(a.vertices[a.faces[first]], b.vertices[b.faces[second]]), [first, second]

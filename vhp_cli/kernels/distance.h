@@ -1,0 +1,25 @@
+/* Distance of two triangles, which may be degenerate to segments or points. */
+#ifndef VHP_DISTANCE_H
+#define VHP_DISTANCE_H
+
+/* A triangle with what its distance to others needs. */
+typedef struct {
+    const double *v[3];
+    double edge[3][3];      /* from vertex k to the next */
+    double inverse[3];      /* 1 / squared length of each edge; 0 if it has none */
+    int base;               /* the shortest edge, from vertex `base` */
+    double height[3];       /* from the foot on the line of the base to the vertex opposite; all 0 if degenerate */
+    double foot;            /* place of the foot along the base */
+    double inverse_height;  /* 1 / squared length of the height; 0 if degenerate */
+} Shape;
+
+void vhp_shape_of(Shape *shape, const double *a, const double *b, const double *c);
+
+/* The smaller of `best` and the squared distance; in the second case the two nearest points are
+ * written to `points` (on a, on b). */
+double vhp_shape_distance(const Shape *a, const Shape *b, double best, double points[2][3]);
+
+/* Squared distance of a point, and the point of the triangle nearest to it, if below `best`. */
+double vhp_point_distance(const double *point, const Shape *shape, double best, double nearest[3]);
+
+#endif

@@ -1,0 +1,1 @@
+"""Pipeline: run a stage over a model, with workers, cache and resumption."""

@@ -1,0 +1,380 @@
+"""Check a model: every tissue by itself, then every pair that is near, then the model as a whole."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vhp_cli import __version__, formats
+from vhp_cli.config import UNITS, Settings
+from vhp_cli.errors import UnreadableFileError, UsageError, VhpError
+from vhp_cli.gate import model_findings, failure_findings, pair_findings, sort_findings, tissue_findings
+from vhp_cli.inspection.nesting import nesting
+from vhp_cli.inspection.proximity import inspect_pair, near_pairs
+from vhp_cli.inspection.tissue import ShapeLimits, Surface, inspect_nothing, inspect_tissue, restore_surface
+from vhp_cli.measures import Defects, Finding, PairRecord, Place, Report, TissueMeasures, TissueRecord
+from vhp_cli.mesh import Mesh
+from vhp_cli.model import Model, TissueFile
+from vhp_cli.pipeline.cache import Cache
+
+SCHEMA = "vhp-report/1"
+
+# Boxes in the report are rounded to a nanometre; the pair tests decide, so a little too near costs nothing.
+_BOX_ROUNDING_MM = 1e-5
+
+Progress = Callable[[str, int, int], None]
+_Task = tuple[Callable[..., Any], tuple[Any, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class Issue:
+    """What a reader said of a file, in the form in which it is cached."""
+
+    rule: str
+    count: int
+    detail: str
+
+
+@dataclass(slots=True)
+class _Tissue:
+    """One tissue on its way through the check."""
+
+    source: TissueFile
+    sha256: str = ""
+    format: str = ""
+    issues: list[Issue] = field(default_factory=list)
+    measures: TissueMeasures = field(default_factory=inspect_nothing)
+    defects: Defects = field(default_factory=dict)
+    surface: Surface | None = None
+    failed: bool = False
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """The report of a check, and whether a tissue or pair could not be processed."""
+
+    report: Report
+    failed: bool
+
+
+def check_model(
+    model: Model,
+    settings: Settings,
+    *,
+    paths: Sequence[Path] = (),
+    jobs: int | None = None,
+    cache_directory: Path | None = None,
+    progress: Progress | None = None,
+) -> Checked:
+    """Check every tissue and every near pair of a model.
+
+    The result does not depend on the number of threads: every task is a pure function of its input, and
+    results are put in the order of the files.
+
+    Parameters
+    ----------
+    model
+        The tissues, from `vhp_cli.model.find_model`.
+    settings
+        What to check and how to judge it.
+    paths
+        The model as named by the user, for the report.
+    jobs
+        Threads; None: one per available core.
+    cache_directory
+        Where results are kept between runs; None: nowhere.
+    progress
+        Called with step, number done and number in all.
+
+    Raises
+    ------
+    UsageError
+        If not one file could be read.
+    """
+    started, clock = datetime.now(UTC), _Clock()
+    threads = jobs or available_cores()
+    cache = Cache(cache_directory, paths or [file.path for file in model.tissues])
+    tissues = [_Tissue(file) for file in model.tissues]
+    executor = ThreadPoolExecutor(threads, thread_name_prefix="vhp")
+    try:
+        # The largest first, so that no long task is left for the end.
+        by_size = sorted(tissues, key=lambda tissue: -_size(tissue.source.path))
+        _run(executor, [(_inspect, (tissue, settings, cache)) for tissue in by_size], "tissues", progress)
+        clock.lap("tissues")
+        if all(tissue.format == "" for tissue in tissues):
+            raise UsageError(_nothing_readable(tissues))
+        pairs = _check_pairs(executor, tissues, settings, cache, progress)
+        clock.lap("pairs")
+    finally:
+        executor.shutdown(wait=False, cancel_futures=True)
+        cache.save()
+    report = _report(tissues, pairs, model.unread, settings, paths)
+    clock.lap("report")
+    report["run"] = _run_facts(started, clock, threads)
+    failed = any(tissue.failed for tissue in tissues) or any(isinstance(pair, tuple) for pair in pairs)
+    return Checked(report, failed)
+
+
+def available_cores() -> int:
+    """Return the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class _Clock:
+    def __init__(self) -> None:
+        self._last = time.perf_counter()
+        self.seconds: dict[str, float] = {}
+
+    def lap(self, step: str) -> None:
+        now = time.perf_counter()
+        self.seconds[step] = round(now - self._last, 4)
+        self._last = now
+
+
+def _run(executor: ThreadPoolExecutor, tasks: Iterable[_Task], step: str, progress: Progress | None) -> None:
+    """Run tasks that keep their results themselves; the first unexpected exception ends the run."""
+    pending: set[Future[Any]] = {executor.submit(function, *arguments) for function, arguments in tasks}
+    total = len(pending)
+    while pending:
+        done, pending = wait(pending, return_when=FIRST_COMPLETED)
+        for future in done:
+            future.result()
+        if progress:
+            progress(step, total - len(pending), total)
+
+
+def _inspect(tissue: _Tissue, settings: Settings, cache: Cache) -> None:
+    name = tissue.source.name
+    limits = ShapeLimits(*(settings.rule(code, name).limit or 0.0 for code in ("Q001", "Q002", "X005")))
+    try:
+        data = formats.read_bytes(tissue.source.path)
+        tissue.sha256 = formats.sha256(data)
+        key = f"{tissue.sha256} {tissue.source.path.suffix.lower()} {_geometry_key(settings)} {limits}"
+        kept = cache.get("tissues", key)
+        if kept is None:
+            reading = formats.parse_mesh(tissue.source.path, data, weld_tolerance=_weld(settings))
+            measures, defects = inspect_nothing(), {}
+            if len(reading.mesh.faces):
+                mesh = _in_mm(reading.mesh, settings)
+                measures, defects, tissue.surface = inspect_tissue(mesh, limits, unreferenced=reading.unreferenced)
+            if reading.face_number is not None:
+                _renumber(defects, reading.face_number)
+            issues = [[issue.rule, issue.count, issue.detail] for issue in reading.issues]
+            kept = {"format": reading.format, "issues": issues, "measures": measures, "defects": defects}
+            cache.put("tissues", key, kept)
+        tissue.format, tissue.measures, tissue.defects = kept["format"], kept["measures"], kept["defects"]
+        tissue.issues = [Issue(*issue) for issue in kept["issues"]]
+    except UnreadableFileError as error:
+        where = f" ({error.where})" if error.where else ""
+        tissue.issues = [Issue("F001", 1, f"{error.message}{where}" + (f"; {error.hint}" if error.hint else ""))]
+    except (MemoryError, VhpError, OSError) as error:
+        tissue.failed = True
+        tissue.issues = [Issue("F012", 1, f"{type(error).__name__}: {error}")]
+
+
+def _surface(tissue: _Tissue, settings: Settings) -> Surface:
+    """Return the surface of a tissue, read again if its measures came from the cache."""
+    with tissue.lock:
+        if tissue.surface is None:
+            data = formats.read_bytes(tissue.source.path)
+            if formats.sha256(data) != tissue.sha256:
+                raise VhpError(f"{tissue.source.file} changed while it was being checked", hint="run the check again")
+            reading = formats.parse_mesh(tissue.source.path, data, weld_tolerance=_weld(settings))
+            tissue.surface = restore_surface(_in_mm(reading.mesh, settings), tissue.measures)
+        return tissue.surface
+
+
+def _check_pairs(
+    executor: ThreadPoolExecutor,
+    tissues: Sequence[_Tissue],
+    settings: Settings,
+    cache: Cache,
+    progress: Progress | None,
+) -> list[PairRecord | tuple[str, str, str]]:
+    """Return the record of each near pair in order, or (a, b, error) where it could not be processed."""
+    solid = [tissue for tissue in tissues if tissue.measures["bounds_mm"]]
+    if len(solid) < 2:
+        return []
+    search = _gap_search(settings, [tissue.source.name for tissue in solid])
+    boxes = [tissue.measures["bounds_mm"] for tissue in solid]
+    lower, upper = (np.array([box[side] for box in boxes if box]) for side in ("min", "max"))
+    candidates = near_pairs(lower, upper, search + _BOX_ROUNDING_MM)
+    results: list[PairRecord | tuple[str, str, str] | None] = [None] * len(candidates)
+
+    def one(index: int) -> None:
+        a, b = (solid[tissue] for tissue in candidates[index])
+        names = {"a": a.source.name, "b": b.source.name}
+        key = f"{a.sha256} {b.sha256} {_geometry_key(settings)} {search!r}"
+        try:
+            kept = cache.get("pairs", key)
+            if kept is None:
+                measures = inspect_pair(_surface(a, settings), _surface(b, settings), search)
+                kept = {"measures": measures}
+                cache.put("pairs", key, kept)
+            if kept["measures"] is not None:
+                results[index] = {**names, **kept["measures"]}
+        except (MemoryError, VhpError, OSError) as error:
+            results[index] = (names["a"], names["b"], f"{type(error).__name__}: {error}")
+
+    def some(indices: Sequence[int]) -> None:
+        for index in indices:
+            one(index)
+
+    # Pairs of large tissues first; a few pairs a task, so that the queue costs little.
+    cost = np.array([tissue.measures["triangles"] for tissue in solid])
+    order = np.argsort(-cost[candidates].sum(axis=1), kind="stable").tolist()
+    tasks = [(some, (order[start : start + 4],)) for start in range(0, len(order), 4)]
+    _run(executor, tasks, "pairs", progress)
+    return [result for result in results if result is not None]
+
+
+def _report(
+    tissues: Sequence[_Tissue],
+    pairs: Sequence[PairRecord | tuple[str, str, str]],
+    unread: Sequence[str],
+    settings: Settings,
+    paths: Sequence[Path],
+) -> Report:
+    records: list[TissueRecord] = []
+    findings: list[Finding] = []
+    for tissue in tissues:
+        source = tissue.source
+        findings += tissue_findings(
+            source.name, tissue.measures, tissue.defects, tissue.issues, source.clashes, settings
+        )
+        records.append(
+            {
+                "name": source.name,
+                "file": source.file,
+                "sha256": tissue.sha256,
+                "format": tissue.format,
+                "tissue_type": settings.tissue_type(source.name),
+                **tissue.measures,
+                "findings": [],
+            }
+        )
+    near = [pair for pair in pairs if isinstance(pair, dict)]
+    for pair in near:
+        findings += pair_findings(pair, settings)
+    for a, b, error in (pair for pair in pairs if isinstance(pair, tuple)):
+        findings += failure_findings(a, b, error, settings)
+    findings += model_findings(records, near, unread, settings)
+    names = [record["name"] for record in records]
+    volumes = {record["name"]: abs(record["volume_mm3"]) for record in records}
+    report: Report = {
+        "schema": SCHEMA,
+        "tool": {"name": "vhp", "version": __version__},
+        "command": "check",
+        "settings": settings.as_dict(),
+        "model": {"paths": [path.as_posix() for path in paths], "units": settings.units},
+        "summary": {
+            "passed": True,
+            "tissues": len(records),
+            "triangles": sum(record["triangles"] for record in records),
+            "pairs": len(near),
+            "errors": 0,
+            "warnings": 0,
+            "notes": 0,
+            "counts": {},
+        },
+        "tissues": records,
+        "pairs": near,
+        "nesting": nesting(names, near, volumes),
+        "findings": [],
+        "run": {},
+    }
+    return with_findings(report, sort_findings(findings, names))
+
+
+def with_findings(report: Report, findings: list[Finding]) -> Report:
+    """Return a report with these findings, counted and judged: known ones do not fail it."""
+    by_tissue: dict[str, list[Finding]] = {}
+    counts: dict[str, int] = {}
+    for finding in findings:
+        counts[finding["rule"]] = counts.get(finding["rule"], 0) + 1
+        if len(finding["tissues"]) == 1:
+            by_tissue.setdefault(finding["tissues"][0], []).append(finding)
+    levels = [finding["level"] for finding in findings]
+    return {
+        **report,
+        "summary": {
+            **report["summary"],
+            "passed": not any(finding["level"] == "error" and not finding.get("known") for finding in findings),
+            "errors": levels.count("error"),
+            "warnings": levels.count("warning"),
+            "notes": levels.count("note"),
+            "counts": dict(sorted(counts.items())),
+        },
+        "tissues": [{**record, "findings": by_tissue.get(record["name"], [])} for record in report["tissues"]],
+        "findings": findings,
+    }
+
+
+def _gap_search(settings: Settings, names: Sequence[str]) -> float:
+    if settings.gap_search_mm is not None:
+        return settings.gap_search_mm
+    limits = [settings.rule("P005", name) for name in names]
+    return max([0.0, *(setting.limit for setting in limits if setting.level and setting.limit is not None)])
+
+
+def _weld(settings: Settings) -> float:
+    return settings.weld_tolerance_mm / UNITS[settings.units]
+
+
+def _in_mm(mesh: Mesh, settings: Settings) -> Mesh:
+    scale = UNITS[settings.units]
+    return mesh if scale == 1.0 else Mesh(mesh.vertices * scale, mesh.faces)
+
+
+def _geometry_key(settings: Settings) -> str:
+    return f"{settings.units} {settings.weld_tolerance_mm!r}"
+
+
+def _renumber(defects: Defects, face_number: np.ndarray) -> None:
+    """Let places name facets as the file counts them, where the reader left some out."""
+    places: list[Place] = [place for defect in defects.values() for place in defect["places"]]
+    for place in places:
+        if place["face"] is not None:
+            place["face"] = int(face_number[place["face"]])
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
+
+
+def _nothing_readable(tissues: Sequence[_Tissue]) -> str:
+    lines = [f"{tissue.source.path}: {issue.detail}" for tissue in tissues for issue in tissue.issues]
+    shown = lines[:10] + ([f"and {len(lines) - 10} more"] if len(lines) > 10 else [])
+    return "no file of the model can be read:\n  " + "\n  ".join(shown)
+
+
+def _run_facts(started: datetime, clock: _Clock, threads: int) -> dict[str, object]:
+    facts: dict[str, object] = {
+        "started": started.isoformat(timespec="seconds"),
+        "seconds": {**clock.seconds, "total": round(sum(clock.seconds.values()), 4)},
+        "jobs": threads,
+        "platform": sys.platform,
+        "versions": {"python": sys.version.split()[0], "numpy": np.__version__},
+    }
+    if sys.platform != "win32":
+        import resource
+
+        unit = 2**20 if sys.platform == "darwin" else 2**10
+        facts["peak_memory_mb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit, 1)
+    return facts
