@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 BUILD_INPUTS := pyproject.toml hatch_build.py vhp_cli/kernels/build.py $(wildcard vhp_cli/kernels/*.[ch])
 DEMO := build/demo
-SANITIZED := build/sanitize/kernels.so
+SANITIZED := $(CURDIR)/build/sanitize/kernels.so
 SANITIZE_TESTS ?= tests/kernels
 
 .DEFAULT_GOAL := help

@@ -168,10 +168,10 @@ def by_igl(files: Sequence[Path], limits: Limits) -> Found:
         signs = np.where(edges[order, 0] < edges[order, 1], 1, -1)
         balance = np.add.reduceat(signs, starts)
         lengths = igl.edge_lengths(vertices, edges[order[starts]])
-        quality = 2 * igl.inradius(vertices, faces) / igl.circumradius(vertices, faces)
+        quality = 2 * igl.inradius(vertices, faces) / igl.circumradius(vertices, faces)[0]
         igl.facet_components(faces)
         igl.doublearea(vertices, faces)
-        closed = bool((uses > 1).all())
+        closed = bool((uses % 2 == 0).all())
         corners = vertices[faces] - vertices[0]
         volume = np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
         crossing = igl.copyleft.cgal.remesh_self_intersections(vertices, faces, detect_only=True)[2]
@@ -201,7 +201,7 @@ def by_igl(files: Sequence[Path], limits: Limits) -> Found:
     for outer, inners in inside.items():
         # One call for all points: each call builds the tree of the outer mesh anew.
         points = np.array([meshes[inner][0][0] for inner in inners])
-        found.nested += int((igl.fast_winding_number(*meshes[outer], points) > 0.5).sum())
+        found.nested += int((np.abs(igl.fast_winding_number(*meshes[outer], points)) > 0.5).sum())
     return found
 
 
@@ -220,9 +220,7 @@ def by_vhp(report: Path, limits: Limits) -> Found:
         triangles=sum(tissue["triangles"] for tissue in tissues),
         not_closed=sum(not tissue["closed"] for tissue in tissues),
         not_manifold=sum(not tissue["manifold"] for tissue in tissues),
-        misoriented=sum(
-            not tissue["oriented"] or tissue["topology"]["inward_components"] > 0 for tissue in tissues
-        ),
+        misoriented=sum(not tissue["oriented"] or tissue["topology"]["inward_components"] > 0 for tissue in tissues),
         self_intersecting=sum(tissue["self_intersections"]["pairs"] > 0 for tissue in tissues),
         # Faces without area have a rule of their own.
         poor_triangles=count("Q001") + count("Q003"),
@@ -233,11 +231,19 @@ def by_vhp(report: Path, limits: Limits) -> Found:
     )
 
 
-# Stack: function, the modules it needs, the packages that have them.
-STACKS: dict[str, tuple[Callable[[Sequence[Path], Limits], Found], tuple[str, ...], tuple[str, ...]]] = {
-    "meshlib": (by_meshlib, ("meshlib",), ("meshlib",)),
-    "trimesh+pymeshlab": (by_trimesh, ("trimesh", "pymeshlab", "fcl"), ("trimesh", "pymeshlab", "python-fcl")),
-    "igl+fcl": (by_igl, ("igl", "fcl"), ("libigl", "python-fcl")),
+@dataclass(frozen=True, slots=True)
+class Stack:
+    """One peer: its function, the modules it needs, and the packages that have them."""
+
+    function: Callable[[Sequence[Path], Limits], Found]
+    modules: tuple[str, ...]
+    packages: tuple[str, ...]
+
+
+STACKS = {
+    "meshlib": Stack(by_meshlib, ("meshlib",), ("meshlib",)),
+    "trimesh+pymeshlab": Stack(by_trimesh, ("trimesh", "pymeshlab", "fcl"), ("trimesh", "pymeshlab", "python-fcl")),
+    "igl+fcl": Stack(by_igl, ("igl", "fcl"), ("libigl", "python-fcl")),
 }
 
 
@@ -321,7 +327,7 @@ def main() -> int:
     else:
         # The largest first, so that no long task is left for the end.
         files = sorted(arguments.model.glob("*.stl"), key=lambda file: -file.stat().st_size)
-        found = STACKS[arguments.stack][0](files, limits)
+        found = STACKS[arguments.stack].function(files, limits)
     json.dump(asdict(found), sys.stdout)
     return 0
 

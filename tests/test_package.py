@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+import zipfile
 from pathlib import Path
 
 import click
@@ -313,14 +314,11 @@ def test_supported_python_versions_agree():
 @pytest.mark.slow
 @pytest.mark.skipif(build.find_compiler() is None, reason="no C compiler here")
 def test_the_wheel_holds_the_library_the_data_and_no_sources(tmp_path):
-    pytest.importorskip("hatchling")
     done = run("-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", str(tmp_path), str(ROOT))
     assert done.returncode == 0, done.stderr
     (wheel,) = tmp_path.glob("*.whl")
     assert wheel.name.startswith(f"vhp_cli-{vhp_cli.__version__}-py3-none-")
     assert not wheel.name.endswith("-any.whl")
-    import zipfile
-
     names = set(zipfile.ZipFile(wheel).namelist())
     kernels = {Path(name).name for name in names if name.startswith("vhp_cli/kernels/")}
     assert build.LIBRARY.name in kernels

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 from example_report import build, example, finding, many
-from hypothesis import given, strategies as st
+from hypothesis import given
+from hypothesis import strategies as st
 
 from vhp_cli.errors import UsageError
 from vhp_cli.measures import Finding

@@ -11,13 +11,16 @@ import time
 import unicodedata
 import xml.etree.ElementTree as ElementTree
 from importlib.resources import files
+from itertools import pairwise
 from typing import Any
 from urllib.parse import unquote
 
 import jsonschema
 import pytest
 from example_report import SOUND, build, empty, example, finding, many, renamed, tissue
-from hypothesis import HealthCheck, example as case, given, settings, strategies as st
+from hypothesis import HealthCheck, given, settings
+from hypothesis import example as case
+from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
 from vhp_cli.errors import UsageError
@@ -56,7 +59,7 @@ pairs_of_names = st.tuples(names, names).filter(
 
 
 def with_nasty_names(test: Any) -> Any:
-    for first, second in zip(NASTY, NASTY[1:], strict=False):
+    for first, second in pairwise(NASTY):
         test = case((first, second))(test)
     quick = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.differing_executors])
     return quick(given(pairs_of_names)(test))
@@ -165,7 +168,7 @@ def markdown_cells(text: str) -> list[list[str]]:
     """Return the text of the body cells of all tables, as a Markdown parser sees them."""
     rows: list[list[str]] = []
     tokens = MarkdownIt("commonmark").enable(["table", "strikethrough"]).parse(text)
-    for token, content in zip(tokens, tokens[1:], strict=False):
+    for token, content in pairwise(tokens):
         if token.type == "tr_open":
             rows.append([])
         if token.type == "td_open":
@@ -181,7 +184,13 @@ def test_markdown_shows_names_as_they_are(chosen: tuple[str, str]) -> None:
     text = render(report, "markdown")
     rows = markdown_cells(text)
     assert [row[1] for row in rows] == [visible(record["name"]).strip() for record in report["tissues"]]
-    assert [row[-1] for row in rows] == ["1 error P001", "1 error T001", "1 error P001", "pass, 1 warning F010", "1 error F001"]
+    assert [row[-1] for row in rows] == [
+        "1 error P001",
+        "1 error T001",
+        "1 error P001",
+        "pass, 1 warning F010",
+        "1 error F001",
+    ]
     assert all(len(row) == 7 for row in rows)
     headings = [token.content for token in MarkdownIt().parse(text) if token.type == "inline" and token.level == 1]
     assert headings[0] == "vhp check: FAILED"
@@ -331,6 +340,16 @@ def test_sarif_paths() -> None:
     assert uri("C:\\model\\a b.stl") == "file:///C:/model/a%20b.stl"
     assert uri("x:y.stl") == "x%3Ay.stl"
     assert uri("caf\udce9.stl") == "caf%E9.stl"
+
+
+@pytest.mark.parametrize(
+    ("base", "file", "expected"),
+    [("", "a.stl", "a.stl"), ("./", "a.stl", "a.stl"), ("m/", "./a.stl", "m/./a.stl"), ("m/", "/x/a.stl", "/x/a.stl")],
+)
+def test_paths_are_relative_to_the_repository(base: str, file: str, expected: str) -> None:
+    report = build([tissue("a", file, "organ", 4, 0.5, 1.0)], [], [finding("T001", ["a"])], {})
+    assert f"::error file={expected}," in render(report, "github", base=base)
+    assert f'"uri": "{"file://" * expected.startswith("/")}{expected}"' in render(report, "sarif", base=base)
 
 
 def test_sarif_without_a_baseline_says_nothing_of_one() -> None:

@@ -100,7 +100,7 @@ def test_markdown_is_a_table_or_a_page() -> None:
     assert "Default limit: 0.01." in page
 
 
-@pytest.mark.parametrize(("word", "near"), [("T022", "T002"), ("open-egde", "open-edge"), ("nonsense", "vhp rules")])
+@pytest.mark.parametrize(("word", "near"), [("T022", "T002"), ("open-egde", "open-edge"), ("xyzzy", "vhp rules")])
 def test_an_unknown_rule_is_a_usage_error_with_advice(word: str, near: str) -> None:
     with pytest.raises(UsageError, match=word) as caught:
         run(word)

@@ -25,9 +25,9 @@ def test_no_line_is_wider_than_the_terminal(width: int) -> None:
 
 def test_the_table_repeats_the_columns_of_the_thesis() -> None:
     lines = render(example(), "table", width=120).splitlines()
-    assert lines[0].split() == "No Tissue Triangles Mesh quality Min. edge length (mm) Tissue type Verdict".split()
+    assert " ".join(lines[0].split()) == "No Tissue Triangles Mesh quality Min. edge length (mm) Tissue type Verdict"
     row = next(line for line in lines if "Median" in line)
-    assert row.split() == "2 VHP Median Nerve left 520 7.14e-07 0.000393 nerve 1 error T001".split()
+    assert " ".join(row.split()) == "2 VHP Median Nerve left 520 7.14e-07 0.000393 nerve 1 error T001"
 
 
 def test_names_are_no_markup_and_move_no_cursor() -> None:
@@ -48,6 +48,14 @@ def test_a_long_model_shows_only_tissues_with_findings() -> None:
     assert sum("organ" in line for line in full.splitlines()) == 300
     assert "other tissues" not in full
     assert len(text.splitlines()) < 60
+
+
+def test_a_long_model_shows_tissues_with_warnings_too() -> None:
+    report = many(50)
+    report["findings"].append(finding("F010", ["Tissue 007"]))
+    text = render(report, "table")
+    assert [line.split()[2] for line in text.splitlines() if " organ " in line][:2] == ["000", "007"]
+    assert "44 other tissues passed" in text
 
 
 def test_a_long_sound_model_has_no_empty_table() -> None:

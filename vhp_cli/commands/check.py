@@ -140,13 +140,13 @@ def _base(model: tuple[Path, ...]) -> str:
 
 
 def _write(report: Report, targets: list[tuple[Path | None, str]], base: str) -> None:
-    from vhp_cli.formats.atomic import atomic_write_text
+    from vhp_cli.formats.atomic import write_atomically
     from vhp_cli.report import render
 
     for path, form in targets:
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
-            atomic_write_text(path, render(report, form, base=base))
+            write_atomically(path, render(report, form, base=base).encode())
 
 
 def _show(report: Report, form: str, base: str, *, nesting: bool, quiet: bool = False, verbose: bool = False) -> None:

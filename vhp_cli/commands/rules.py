@@ -25,8 +25,8 @@ def _find(words: tuple[str, ...]) -> list[Rule]:
         rule = RULES.get(word.upper()) or names.get(word.lower())
         if rule is None and not family:
             near = get_close_matches(word.upper(), RULES, n=3) + get_close_matches(word.lower(), names, n=3)
-            hint = f"Did you mean {', '.join(near)}?" if near else "vhp rules lists all of them."
-            raise UsageError(f"There is no rule {word!r}.", hint=hint)
+            hint = f"did you mean {' or '.join(near)}?" if near else "vhp rules lists all of them"
+            raise UsageError(f"no such rule {word!r}", hint=hint)
         found |= {rule.code: rule} if rule else {rule.code: rule for rule in family}
     return list(found.values())
 

@@ -118,7 +118,8 @@ static inline double edge_to_edge(const Shape *a, int i, const Shape *b, int j, 
         return best;
     subtract(b->v[j], a->v[i], offset);
     const double height = dot(offset, normal);
-    if (height * height >= best * square * (1 + 1e-6)) /* the lines are farther apart */
+    /* Lines farther apart need no more, if their distance is known well: not if nearly parallel. */
+    if (height * height > best * square * (1 + 1e-6) && square * a->inverse[i] * b->inverse[j] > 0.01)
         return best;
     cross(offset, b->edge[j], moment);
     const double s = dot(moment, normal) / square;

@@ -173,12 +173,13 @@ VHP_EXPORT int64_t vhp_quality(const double *vertices, int64_t n_vertices, const
 }
 
 /* Angle between the half-planes that two faces span at their common edge, in degrees: 180 flat, 0 folded back.
-   It does not depend on the orientation of the faces. NaN if a face has no area.
+   It does not depend on the orientation of the faces. NaN if a face has no area. Returns -1, or the number of the first
+   edge that is not an edge of both its faces.
 
    With e the edge and p, q the vectors from its first vertex to the two opposite vertices, the normals e x p and
    e x q enclose the angle: its cosine and sine are in the ratio (e x p) . (e x q) : |e| |(e x p) . q|. */
-VHP_EXPORT void vhp_dihedral_angles(const double *vertices, const int32_t *faces, const int32_t *edges,
-                                    const int32_t *edge_faces, int64_t n, double *degrees)
+VHP_EXPORT int64_t vhp_dihedral_angles(const double *vertices, const int32_t *faces, const int32_t *edges,
+                                       const int32_t *edge_faces, int64_t n, double *degrees)
 {
     const double per_radian = 57.29577951308232;
     for (int64_t i = 0; i < n; i++) {
@@ -188,13 +189,15 @@ VHP_EXPORT void vhp_dihedral_angles(const double *vertices, const int32_t *faces
         subtract(vertices + 3 * (int64_t)to, start, edge);
         for (int side = 0; side < 2; side++) {
             const int32_t *face = faces + 3 * (int64_t)edge_faces[2 * i + side];
-            int32_t third = face[0];
-            if (third == from || third == to)
-                third = face[1] == from || face[1] == to ? face[2] : face[1];
+            int k = face[0] != from && face[0] != to ? 0 : face[1] != from && face[1] != to ? 1 : 2;
+            int32_t third = face[k], one = face[k == 2 ? 0 : k + 1], two = face[k == 0 ? 2 : k - 1];
+            if (!((one == from && two == to) || (one == to && two == from)))
+                return i;
             subtract(vertices + 3 * (int64_t)third, start, opposite[side]);
             cross(edge, opposite[side], normal[side]);
         }
         double cosine = dot(normal[0], normal[1]), sine = sqrt(dot(edge, edge)) * fabs(dot(normal[0], opposite[1]));
         degrees[i] = cosine == 0 && sine == 0 ? NAN : atan2(sine, cosine) * per_radian;
     }
+    return -1;
 }

@@ -30,9 +30,7 @@ _count_words = function("vhp_count_words", i64, [pointer, i64])
 _parse_stl = function("vhp_parse_stl", None, [pointer, i64, pointer, pointer, pointer])
 _count_obj = function("vhp_count_obj", None, [pointer, i64, pointer])
 _parse_obj = function("vhp_parse_obj", None, [pointer, i64, pointer, pointer, pointer, pointer])
-_walk_records = function(
-    "vhp_walk_records", i64, [pointer, i64, i64, pointer, i32, i32, i32, pointer, pointer, pointer]
-)
+_walk_records = function("vhp_walk_records", i64, [pointer, i64, i64, pointer, i32, i32, i32, *[pointer] * 3])
 
 
 def weld(points: NDArray[np.floating], tolerance: float = 0.0) -> tuple[Float, Int]:
@@ -175,6 +173,8 @@ class StlText:
         Offset of what follows the last endsolid.
     has_decimal_comma
         A number could not be read because of a comma.
+    first_wild
+        Offset of the first readable facet with a coordinate that is not finite or beyond 1e30.
     """
 
     corners: NDArray[np.float32]
@@ -187,6 +187,7 @@ class StlText:
     last_start: int
     trailing: int
     has_decimal_comma: bool
+    first_wild: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,10 +231,11 @@ def parse_stl_text(data: bytes | memoryview) -> StlText:
     text = _as_array(data)
     facets = np.empty((len(text) // 38 + 1, 3, 3), dtype=np.float32)
     bad = np.empty(len(text) // 5 + 1, dtype=np.int64)
-    account = np.empty(10, dtype=np.int64)
+    account = np.empty(11, dtype=np.int64)
     _parse_stl(address(text), len(text), address(facets), address(bad), address(account))
     # The order of the enum in text_stl.c.
-    n_solids, n_facets, n_bad, first_bad, n_loose, first_loose, at_end, last_start, trailing, comma = account.tolist()
+    n_solids, n_facets, n_bad, first_bad, n_loose, first_loose = account[:6].tolist()
+    at_end, last_start, trailing, comma, first_wild = account[6:].tolist()
     ends: tuple[Literal["", "solid", "facet"], ...] = ("", "solid", "facet")
     return StlText(
         corners=facets[:n_facets],
@@ -246,6 +248,7 @@ def parse_stl_text(data: bytes | memoryview) -> StlText:
         last_start=last_start,
         trailing=trailing,
         has_decimal_comma=bool(comma),
+        first_wild=first_wild,
     )
 
 

@@ -61,7 +61,7 @@ VHP_EXPORT int64_t vhp_self_hits(const Tree *tree, int64_t limit, int32_t *pairs
     while (count) {
         count--;
         const int64_t a = waiting[count].a, b = waiting[count].b; /* of one level; a <= b */
-        if ((a != b && !boxes_overlap(node_box(tree, a), node_box(tree, b))) || only_degenerate(tree, b))
+        if (only_degenerate(tree, b))
             continue;
         if (is_leaf(tree, a)) {
             int64_t end_a = leaf_begin(tree, a + 1), end_b = leaf_begin(tree, b + 1);
@@ -74,9 +74,10 @@ VHP_EXPORT int64_t vhp_self_hits(const Tree *tree, int64_t limit, int32_t *pairs
         }
         const int64_t first_a = 2 * a + 1, first_b = 2 * b + 1;
         for (int64_t child_a = first_a; child_a <= first_a + 1; child_a++)
-            for (int64_t child_b = a == b ? child_a : first_b; child_b <= first_b + 1; child_b++, count++) {
+            for (int64_t child_b = a == b ? child_a : first_b; child_b <= first_b + 1; child_b++) {
                 waiting[count].a = child_a;
                 waiting[count].b = child_b;
+                count += child_a == child_b || boxes_overlap(node_box(tree, child_a), node_box(tree, child_b));
             }
     }
     return finish_hits(&hits, tree->numbers, tree->n_faces, tree->numbers, tree->n_faces, pairs, kinds, counts);

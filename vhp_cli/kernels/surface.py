@@ -18,7 +18,7 @@ MAX_FACES = (2**31 - 1) // 3
 _topology = function("vhp_topology", i32, [pointer, i64, pointer, i64, *[pointer] * 11])
 _edge_loops = function("vhp_edge_loops", i32, [pointer, i64, i64, pointer])
 _quality = function("vhp_quality", i64, [pointer, i64, pointer, i64, pointer, i64, *[pointer] * 5])
-_dihedral_angles = function("vhp_dihedral_angles", None, [pointer, pointer, pointer, pointer, i64, pointer])
+_dihedral_angles = function("vhp_dihedral_angles", i64, [pointer, pointer, pointer, pointer, i64, pointer])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +101,7 @@ class Quality:
     volume
         In mm3; the sum of the signed tetrahedra between the faces and the mean of the vertices. Positive if a closed
         surface is oriented outward; depends on that point if the surface is open.
-    centroid_surface, centroid_volume : (3,) float64
+    area_centroid, volume_centroid : (3,) float64
         Centre of the area and of the volume, in mm; NaN where area or volume is 0.
         The second has a meaning for a closed surface only.
     degenerate : (k,) int32
@@ -116,8 +116,8 @@ class Quality:
     r_out_max: float
     area: float
     volume: float
-    centroid_surface: Float
-    centroid_volume: Float
+    area_centroid: Float
+    volume_centroid: Float
     degenerate: Int
     component_volume: Float
     component_area: Float
@@ -283,15 +283,15 @@ def quality(vertices: Float, faces: Int, component: Int, n_components: int) -> Q
         r_out_max=r_max if n else float("nan"),
         area=area,
         volume=volume,
-        centroid_surface=reference + surface_moment / area if area else nowhere,
-        centroid_volume=reference + volume_moment / volume if volume else nowhere,
+        area_centroid=reference + surface_moment / area if area else nowhere,
+        volume_centroid=reference + volume_moment / volume if volume else nowhere,
         degenerate=degenerate[:n_degenerate].copy(),
         component_volume=component_volume,
         component_area=component_area,
     )
 
 
-def dihedral_angles(vertices: Float, faces: Int, inner_edge_faces: Int, inner_edges: Int) -> Float:
+def dihedral_angles(vertices: Float, faces: Int, inner_edges: Int, inner_edge_faces: Int) -> Float:
     """Return the angle between the two faces at each inner edge, in degrees.
 
     180 is flat, 0 folded back onto itself; the orientation of the faces plays no part. NaN where a face has no area.
@@ -302,13 +302,18 @@ def dihedral_angles(vertices: Float, faces: Int, inner_edge_faces: Int, inner_ed
         Coordinates in mm.
     faces : (F, 3) int32
         Vertex indices.
-    inner_edge_faces, inner_edges : (m, 2) int32
+    inner_edges, inner_edge_faces : (m, 2) int32
         As `topology` returns them.
 
     Returns
     -------
     (m,) float64
         Degrees in [0, 180].
+
+    Raises
+    ------
+    ValueError
+        If a shape or an index is wrong, or a face does not have the edge.
     """
     vertices, faces = _checked(vertices, faces)
     edges = np.ascontiguousarray(inner_edges, dtype=np.int32)
@@ -321,5 +326,9 @@ def dihedral_angles(vertices: Float, faces: Int, inner_edge_faces: Int, inner_ed
     if m and not (edge_faces.min() >= 0 and edge_faces.max() < len(faces)):
         raise ValueError("edges refer to faces that do not exist")
     degrees = np.empty(m)
-    _dihedral_angles(address(vertices), address(faces), address(edges), address(edge_faces), m, address(degrees))
+    wrong = _dihedral_angles(
+        address(vertices), address(faces), address(edges), address(edge_faces), m, address(degrees)
+    )
+    if wrong >= 0:
+        raise ValueError(f"faces {edge_faces[wrong].tolist()} do not both have edge {edges[wrong].tolist()}")
     return degrees

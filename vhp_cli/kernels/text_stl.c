@@ -1,4 +1,5 @@
 /* ASCII STL: facets out of text, with an account of everything that is not as it should be. */
+#include <math.h>
 #include <stdint.h>
 #include <string.h>
 
@@ -17,6 +18,7 @@ enum {
     LAST_START,     /* offset of the last "facet" or "solid" */
     TRAILING,       /* offset of what follows the last endsolid */
     COMMA_SEEN,     /* a number that could not be read has a comma */
+    FIRST_WILD,     /* offset of the first facet handed out that is not finite or beyond 1e30 */
     N_ACCOUNT
 };
 
@@ -53,6 +55,11 @@ static void close_facet(Parser *p)
 {
     int64_t *account = p->account;
     if (p->n_corners == 3 && !p->unreadable) {
+        int tame = 1;
+        for (int k = 0; k < 9; k++)
+            tame &= fabsf(p->corners[k]) <= 1e30f;
+        if (!tame && account[FIRST_WILD] < 0)
+            account[FIRST_WILD] = account[LAST_START];
         memcpy(p->facets + 9 * account[N_FACETS], p->corners, sizeof p->corners);
         account[N_FACETS]++;
     } else {
@@ -211,7 +218,7 @@ VHP_EXPORT void vhp_parse_stl(const char *text, int64_t length, float *facets, i
     Parser parser = {
         .text = text, .end = text + length, .cursor = text, .facets = facets, .bad = bad, .account = account};
     memset(account, 0, N_ACCOUNT * sizeof *account);
-    account[FIRST_BAD] = account[FIRST_LOOSE] = account[LAST_START] = account[TRAILING] = -1;
+    account[FIRST_BAD] = account[FIRST_LOOSE] = account[LAST_START] = account[TRAILING] = account[FIRST_WILD] = -1;
     for (;;) {
         Word word = next_word(&parser.cursor, parser.end);
         if (word.begin == word.end)

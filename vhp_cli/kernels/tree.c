@@ -103,29 +103,35 @@ static void sort_few(const Sorting *s, int64_t begin, int64_t end)
     }
 }
 
-/* Sort order[begin..end) along the Morton curve through the box of the face centres. A far outlier
- * can press all other faces into one cell; such runs are sorted again in a box of their own. The
- * box shrinks at least by 2^16 each time, from 1e38 to no less than 1e-76: at most 24 levels. */
-static void sort_along_curve(const Sorting *s, int64_t begin, int64_t end)
+/* Grow the box lower, upper by a point. */
+static inline void grow_box(double *box, const double *point)
 {
-    double lower[3] = {INFINITY, INFINITY, INFINITY}, upper[3] = {-INFINITY, -INFINITY, -INFINITY}, centre[3];
-    double size = 0;
-    for (int64_t i = begin; i < end; i++) {
-        face_centre(s, s->order[i], centre);
-        for (int d = 0; d < 3; d++) {
-            lower[d] = centre[d] < lower[d] ? centre[d] : lower[d];
-            upper[d] = centre[d] > upper[d] ? centre[d] : upper[d];
-        }
+    for (int d = 0; d < 3; d++) {
+        box[d] = point[d] < box[d] ? point[d] : box[d];
+        box[3 + d] = point[d] > box[3 + d] ? point[d] : box[3 + d];
     }
+}
+
+static const double empty_box[6] = {INFINITY, INFINITY, INFINITY, -INFINITY, -INFINITY, -INFINITY};
+
+/* Sort order[begin..end) along the Morton curve through a box that holds the face centres. A far
+ * outlier can press all other faces into one cell; such runs are sorted again in a box of their own.
+ * That box is smaller by 2^16 each time, from 1e38 to no less than 1e-76: at most 24 levels. */
+static void sort_along_curve(const Sorting *s, int64_t begin, int64_t end, const double *box)
+{
+    double size = 0, centre[3];
     for (int d = 0; d < 3; d++)
-        size = upper[d] - lower[d] > size ? upper[d] - lower[d] : size;
+        size = box[3 + d] - box[d] > size ? box[3 + d] - box[d] : size;
     if (!(size > 0))
         return;
+    const double scale = AXIS_CELLS / size;
     for (int64_t i = begin; i < end; i++) {
         face_centre(s, s->order[i], centre);
         s->keys[i] = 0;
-        for (int d = 0; d < 3; d++) /* at most AXIS_CELLS, as the quotient is at most 1 */
-            s->keys[i] |= spread_bits((uint64_t)((centre[d] - lower[d]) / size * AXIS_CELLS)) << d;
+        for (int d = 0; d < 3; d++) {
+            const double cell = (centre[d] - box[d]) * scale; /* a centre may leave the box by rounding */
+            s->keys[i] |= spread_bits(cell > 0 ? (uint64_t)cell : 0) << d;
+        }
     }
     if (end - begin > 64)
         sort_by_key(s, begin, end);
@@ -135,8 +141,15 @@ static void sort_along_curve(const Sorting *s, int64_t begin, int64_t end)
         int64_t run_end = i + 1;
         while (run_end < end && s->keys[run_end] == s->keys[i])
             run_end++;
-        if (run_end - i >= LONG_RUN)
-            sort_along_curve(s, i, run_end);
+        if (run_end - i >= LONG_RUN) {
+            double run_box[6];
+            memcpy(run_box, empty_box, sizeof run_box);
+            for (int64_t j = i; j < run_end; j++) {
+                face_centre(s, s->order[j], centre);
+                grow_box(run_box, centre);
+            }
+            sort_along_curve(s, i, run_end, run_box);
+        }
         i = run_end;
     }
 }
@@ -205,29 +218,28 @@ static int64_t renumber(const double *vertices, int64_t n_vertices, const int32_
 /* Build a tree over faces (n_faces, 3) of vertices (n_vertices, 3).
  *
  * vertices_out (n_vertices, 3; only the first `counts[1]` rows are filled), faces_out, numbers_out,
- * face_boxes (n_faces, 6), boxes (2 n_leaves - 1, 6): the arrays of the Tree.
+ * face_boxes (n_faces + 1, 6), boxes (2 n_leaves, 6): the arrays of the Tree of 2^levels leaves.
  * counts: faces with an area, vertices in use. bounds: lower and upper corner.
  * Returns 0, -1 (out of memory), -2 (a coordinate is not finite or above 1e38) or -3 (a coordinate
  * is smaller than 1e-60, but not 0). */
 VHP_EXPORT int vhp_tree_build(const double *vertices, int64_t n_vertices, const int32_t *faces, int64_t n_faces,
-                              int64_t n_leaves, double *vertices_out, int32_t *faces_out, int32_t *numbers_out,
+                              int64_t levels, double *vertices_out, int32_t *faces_out, int32_t *numbers_out,
                               float *face_boxes, float *boxes, int64_t *counts, double *bounds)
 {
     const size_t n = (size_t)n_faces;
-    for (int d = 0; d < 3; d++) {
-        bounds[d] = INFINITY;
-        bounds[3 + d] = -INFINITY;
-    }
-    for (int64_t i = 0; i < 3 * n_faces; i++)
+    memset(face_boxes + 6 * n, 0, 6 * sizeof *face_boxes);
+    memset(boxes + 6 * (((size_t)2 << levels) - 1), 0, 6 * sizeof *boxes);
+    memcpy(bounds, empty_box, sizeof empty_box);
+    for (int64_t i = 0; i < 3 * n_faces; i++) {
+        const double *vertex = vertices + 3 * (int64_t)faces[i];
         for (int d = 0; d < 3; d++) {
-            const double x = vertices[3 * (int64_t)faces[i] + d];
-            if (!(fabs(x) <= LARGEST))
+            if (!(fabs(vertex[d]) <= LARGEST))
                 return OUT_OF_RANGE;
-            if (fabs(x) < SMALLEST && x != 0)
+            if (fabs(vertex[d]) < SMALLEST && vertex[d] != 0)
                 return TOO_SMALL;
-            bounds[d] = x < bounds[d] ? x : bounds[d];
-            bounds[3 + d] = x > bounds[3 + d] ? x : bounds[3 + d];
         }
+        grow_box(bounds, vertex);
+    }
 
     int status = VHP_OUT_OF_MEMORY;
     uint64_t *keys = malloc(2 * n * sizeof *keys + 1);
@@ -243,12 +255,12 @@ VHP_EXPORT int vhp_tree_build(const double *vertices, int64_t n_vertices, const 
                 spare_order[n_degenerate++] = (int32_t)i;
         }
         memcpy(numbers_out + n_regular, spare_order, (size_t)n_degenerate * sizeof *spare_order);
-        sort_along_curve(&sorting, 0, n_regular);
-        sort_along_curve(&sorting, n_regular, n_faces);
+        sort_along_curve(&sorting, 0, n_regular, bounds);
+        sort_along_curve(&sorting, n_regular, n_faces, bounds);
         counts[0] = n_regular;
         counts[1] = renumber(vertices, n_vertices, faces, n_faces, numbers_out, renumbered, vertices_out, faces_out);
-        const Tree tree = {n_faces, n_regular, counts[1], n_leaves, vertices_out, faces_out, numbers_out,
-                           face_boxes, boxes};
+        const Tree tree = {n_faces,      n_regular, counts[1],   (int64_t)1 << levels, levels,
+                           vertices_out, faces_out, numbers_out, face_boxes,           boxes};
         vhp_fit_boxes(&tree, face_boxes, boxes);
         status = 0;
     }

@@ -9,6 +9,9 @@
 #define VHP_TREE_H
 
 #include <stdint.h>
+#ifdef __SSE2__
+#include <emmintrin.h>
+#endif
 
 #include "triangles.h"
 
@@ -16,12 +19,12 @@
 typedef struct {
     int64_t n_faces, n_regular; /* all, and those with an area: they come first */
     int64_t n_vertices;
-    int64_t n_leaves;           /* a power of two */
+    int64_t n_leaves, levels;   /* n_leaves = 2^levels */
     const double *vertices;     /* (n_vertices, 3) */
     const int32_t *faces;       /* (n_faces, 3) */
     const int32_t *numbers;     /* the caller's number of each face */
-    const float *face_boxes;    /* (n_faces, 6): lower and upper corner, rounded outward */
-    const float *boxes;         /* (2 n_leaves - 1, 6) */
+    const float *face_boxes;    /* (n_faces + 1, 6): lower and upper corner, rounded outward */
+    const float *boxes;         /* (2 n_leaves, 6); the last row of both is only room for wide loads */
 } Tree;
 
 /* A walk holds at most three waiting nodes per level of a tree, or one per level of each of two, and
@@ -36,7 +39,7 @@ static inline int is_leaf(const Tree *tree, int64_t node)
 /* First face of leaf node `node`; that of `node + 1` is its end. */
 static inline int64_t leaf_begin(const Tree *tree, int64_t node)
 {
-    return (node - (tree->n_leaves - 1)) * tree->n_faces / tree->n_leaves;
+    return ((node - (tree->n_leaves - 1)) * tree->n_faces) >> tree->levels;
 }
 
 /* First face below any node. */
@@ -67,9 +70,16 @@ static inline const float *face_box(const Tree *tree, int64_t face)
     return tree->face_boxes + 6 * face;
 }
 
+/* Without branches: which of the six comparisons fails first can't be predicted. */
 static inline int boxes_overlap(const float *a, const float *b)
 {
-    return a[0] <= b[3] && b[0] <= a[3] && a[1] <= b[4] && b[1] <= a[4] && a[2] <= b[5] && b[2] <= a[5];
+#ifdef __SSE2__
+    const __m128 below = _mm_cmple_ps(_mm_loadu_ps(a), _mm_loadu_ps(b + 3));
+    const __m128 above = _mm_cmple_ps(_mm_loadu_ps(b), _mm_loadu_ps(a + 3));
+    return (_mm_movemask_ps(_mm_and_ps(below, above)) & 7) == 7;
+#else
+    return (a[0] <= b[3]) & (b[0] <= a[3]) & (a[1] <= b[4]) & (b[1] <= a[4]) & (a[2] <= b[5]) & (b[2] <= a[5]);
+#endif
 }
 
 static inline float box_size(const float *box)

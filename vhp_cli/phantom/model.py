@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from vhp_cli.errors import UsageError
 from vhp_cli.mesh import Mesh
+from vhp_cli.phantom.details import further_parts
 from vhp_cli.phantom.parts import Part
 from vhp_cli.phantom.shapes import Array, monotone_curve
 from vhp_cli.phantom.torso import default_parts
@@ -40,6 +41,8 @@ def generate(triangles: int = 100_000, tissues: int | None = None) -> dict[str, 
         If there are not that many tissues, or too few triangles for that many.
     """
     parts = list(default_parts())
+    if tissues is not None and tissues > sum(len(_all_names(part)) for part in parts):
+        parts += further_parts()
     names = _chosen(parts, tissues)
     parts = [part for part in parts if any(name in names for name in _all_names(part))]
     edge = _edge_for(parts, names, triangles)

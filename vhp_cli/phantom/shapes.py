@@ -18,7 +18,8 @@ Array = NDArray[np.float64]
 PointFunction = Callable[[Array, Array], Array]
 Field = Callable[[Array], Array]  # points (..., 3) in mm -> value (...), negative inside
 
-RELAXATIONS = 4
+RELAXATIONS = 16
+GOOD_QUALITY = 0.5
 ROW_HEIGHT = np.sqrt(3) / 2  # of an equilateral triangle with unit edge
 
 
@@ -112,6 +113,8 @@ class Surface:
         Always put a ring at half way (the rim of a plate).
     project
         Maps points near the surface onto it; if given, the triangles are evened out by it.
+    finish
+        Maps the points of the surface to their final places.
     """
 
     point: PointFunction
@@ -124,6 +127,7 @@ class Surface:
     even: bool = False
     around: int = 48
     project: Callable[[Array], Array] | None = None
+    finish: Callable[[Array], Array] | None = None
 
     @cached_property
     def _lengths(self) -> tuple[Array, Array]:
@@ -167,9 +171,22 @@ class Surface:
         s = np.repeat(plan.s, plan.counts)
         vertices, faces = self.point(s, theta), sew(plan.counts, stagger)
         if self.project is not None:
-            for _ in range(RELAXATIONS):
-                vertices = self.project(_neighbour_mean(vertices, faces))
+            vertices = self._relaxed(vertices, faces)
+        if self.finish is not None:
+            vertices = self.finish(vertices)
         return vertices, faces
+
+    def _relaxed(self, vertices: Array, faces: NDArray[np.int32]) -> Array:
+        """Move vertices towards the middle of their neighbours as long as the worst triangle gains by it."""
+        assert self.project is not None
+        best, best_quality = vertices, worst_quality(vertices, faces)
+        for _ in range(RELAXATIONS):
+            if best_quality >= GOOD_QUALITY:
+                break
+            vertices = self.project(0.4 * vertices + 0.6 * _neighbour_mean(vertices, faces))
+            if (quality := worst_quality(vertices, faces)) > best_quality:
+                best, best_quality = vertices, quality
+        return best
 
     def _ring_angles(self, plan: Plan) -> tuple[Array, Array]:
         """Angles of all points, at equal distances along each ring; every other ring by half a step."""
@@ -222,6 +239,15 @@ def sew(counts: NDArray[np.int64], stagger: Array) -> NDArray[np.int32]:
     )
     faces = np.stack([np.where(upper, b, a), np.where(upper, a, b), tip], axis=1)
     return np.ascontiguousarray(faces, dtype=np.int32)
+
+
+def worst_quality(vertices: Array, faces: NDArray[np.int32]) -> float:
+    """Smallest q = 2 r_in / r_out of the triangles (thesis eq. 2.4)."""
+    corners = vertices[faces]
+    sides = np.roll(corners, -1, axis=1) - corners
+    a, b, c = np.linalg.norm(sides, axis=2).T
+    double_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    return float((4 * double_area**2 / ((a + b + c) * a * b * c)).min())
 
 
 def _neighbour_mean(vertices: Array, faces: NDArray[np.int32]) -> Array:
@@ -400,21 +426,34 @@ def plate(
     rim = np.pi / 2 * half_thickness
     typical = float(outline(np.linspace(0, 2 * np.pi, 360)).mean())
 
+    def place(distance: Array, theta: Array, height: Array) -> Array:
+        x = centre[0] + squeeze * distance * np.cos(theta)
+        return np.stack([x, centre[1] + distance * np.sin(theta), height], axis=-1)
+
     def point(s: Array, theta: Array) -> Array:
         s, theta = np.broadcast_arrays(s, theta)
-        radius = outline(theta)
-        flat = radius - half_thickness
-        # Walk inwards-out on the lower face, around the rim, and back on the upper face.
+        # Walk outwards on the lower face, around the rim, and back on the upper face.
         walk = (1 - np.abs(2 * s - 1)) * (typical + rim)
         turn = np.maximum(walk - typical, 0) / half_thickness
-        inner = np.minimum(walk / typical, 1)
-        distance = inner * flat + half_thickness * np.sin(turn)
-        height = half_thickness * np.cos(turn) * np.where(s < 0.5, -1.0, 1.0)
-        x = centre[0] + squeeze * distance * np.cos(theta)
-        y = centre[1] + distance * np.sin(theta)
-        return np.stack([x, y, lift(x, y) + height], axis=-1)
+        distance = np.minimum(walk / typical, 1) * (outline(theta) - half_thickness) + half_thickness * np.sin(turn)
+        return place(distance, theta, half_thickness * np.cos(turn) * np.where(s < 0.5, -1.0, 1.0))
 
-    return Surface(point, np.linspace(0, 1, 129), np.zeros(129), even=True, **options)  # type: ignore[arg-type]
+    def project(p: Array) -> Array:
+        x, y = (p[..., 0] - centre[0]) / squeeze, p[..., 1] - centre[1]
+        distance, theta = np.hypot(x, y), np.arctan2(y, x)
+        height = p[..., 2] / half_thickness
+        on_rim = np.abs(height) < 0.35
+        flat = outline(theta) - half_thickness
+        distance = np.where(on_rim, flat + half_thickness, np.minimum(distance, flat))
+        return place(distance, theta, np.where(on_rim, 0.0, np.sign(height)) * half_thickness)
+
+    def bend(p: Array) -> Array:
+        return p + lift(p[..., 0], p[..., 1])[..., None] * [0.0, 0.0, 1.0]
+
+    return Surface(
+        point, np.linspace(0, 1, 129), np.zeros(129), even=True, project=project, finish=bend,
+        **options,  # type: ignore[arg-type]
+    )
 
 
 def ellipsoid(centre: Array, axes: Array, *, egg: float = 0.0, **options: float) -> Surface:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,8 +46,8 @@ def average_body() -> Surface:
     """Body without fat and skin: neck stub above, waist below, no arms."""
     z = np.array([-190, -100, -40, 10, 60, 110, 155, 185, 205, 222, 240, 258, 278.0])
     width = monotone_curve(z, np.array([160, 154, 162, 168, 167, 163, 161, 160, 157, 148, 112, 76, 64.0]))
-    front = monotone_curve(z, -np.array([125, 122, 128, 132, 130, 122, 104, 84, 70, 56, 50, 48, 47.0]))
-    back = monotone_curve(z, np.array([104, 104, 113, 117, 115, 112, 106, 102, 98, 90, 80, 70, 64.0]))
+    front = monotone_curve(z, -np.array([127, 124, 130, 134, 132, 124, 106, 85, 70, 56, 50, 48, 47.0]))
+    back = monotone_curve(z, np.array([106, 106, 115, 119, 117, 114, 107, 102, 98, 90, 80, 70, 64.0]))
     levels = np.linspace(z[0], z[-1], 140)
     lean = np.linspace(0, np.pi / 2, 20)[:-1]
     rise, shrink = np.cos(lean), np.sin(lean) ** 0.8
@@ -56,7 +57,7 @@ def average_body() -> Surface:
     across = (width(heights) * scale)[:, None] * [1.0, 0.0, 0.0]
     along = (0.5 * (back(heights) - front(heights)) * scale)[:, None] * [0.0, 1.0, 0.0]
     return stacked(
-        centres, across, along, np.zeros(len(heights)), exponent=2.4, coarsest=33.0, fineness=1.7, around=64
+        centres, across, along, np.zeros(len(heights)), exponent=2.4, coarsest=36.0, fineness=1.7, around=64
     )
 
 
@@ -70,58 +71,50 @@ def lung(side: int) -> Surface:
 
     def beside_heart(p: Array) -> Array:
         y, z = p[..., 1] + 36.0, p[..., 2] - 60.0
-        bulge = (35.0 if side > 0 else 2.0) * np.exp(-((y / 66.0) ** 2) - (z / 66.0) ** 2)
+        bulge = (33.0 if side > 0 else 2.0) * np.exp(-((y / 70.0) ** 2) - (z / 70.0) ** 2)
         result: Array = (38.0 if side > 0 else 42.0) + bulge - side * p[..., 0]
         return result
 
     field = smooth_intersection(
-        wall.inside_wall(7.5, 14.0),
+        wall.inside_wall(6.8, 14.0),
         beside_heart,
         wall.in_ellipsoid(np.array([side * 58.0, 10.0, 60.0]), np.diag([115.0, 140.0, 149.0])),
         wall.above_dome(DIAPHRAGM_HALF_THICKNESS + 4.5),
         behind,
-        blend=6.0,
+        blend=8.0,
     )
     return carved(
         np.array([side * 106.0, 2.0, 62.0]), np.array([45.0, 75.0, 110.0]), field, coarsest=20.0, fineness=1.2
     )
 
 
-def rib_line(number: int, *, start: float = 0.0, stop: float = 1.0, below: float = 0.0, depth: float = 0.0) -> Array:
-    """Points along the left rib `number` (1..12): from its head (start 0) around the wall to its tip (stop 1).
-
-    `below` and `depth` shift the line down and inwards, in mm.
-    """
+def around_wall(number: int) -> tuple[Array, Array]:
+    """Angle and height along rib `number` (1..12) from where it meets the wall to its tip, nine values each."""
     i = number - 1
     head_z = float(wall.LEVEL_Z[i])
-    spine = float(wall.spine_y(np.array(head_z)))
     first = np.arcsin(min(0.92, 62.0 / float(wall.half_width(np.array(head_z - 3)))))
     t = np.linspace(0, 1, 9)
-    angle = first + (wall.RIB_TIP[i] - first) * t
-    z = head_z + 1.0 - wall.RIB_DROP[i] * (0.2 * t + 0.8 * t**1.3)
-    around = wall.on_wall(angle, z, depth)
+    return first + (wall.RIB_TIP[i] - first) * t, head_z + 1.0 - wall.RIB_DROP[i] * (0.2 * t + 0.8 * t**1.3)
+
+
+def rib_line(number: int) -> Array:
+    """Points along the left rib `number` (1..12), from its head beside the spine around the wall to its tip."""
+    head_z = float(wall.LEVEL_Z[number - 1])
+    spine = float(wall.spine_y(np.array(head_z)))
     neck = np.array([[20.5, spine + 2.0, head_z + 4.0], [43.0, spine + 8.0, head_z + 3.0]])
-    line = np.concatenate([neck, around])
-    line[:, 2] -= below
-    return line if (start, stop) == (0.0, 1.0) else _piece(line, start, stop)
-
-
-def _piece(line: Array, start: float, stop: float) -> Array:
-    """Part of a smooth line between two fractions of its length, as a few points."""
-    from vhp_cli.phantom.shapes import smooth_path
-
-    fine = smooth_path(line, 201)
-    return fine[np.round(np.linspace(200 * start, 200 * stop, 9)).astype(int)]
+    return np.concatenate([neck, wall.on_wall(*around_wall(number))])
 
 
 def rib(number: int) -> Surface:
     """Left rib with its head beside the spine."""
     taper = np.array([0.7, 0.85, 1, 1, 1, 1, 1, 1, 1, 0.95, 0.72])
     return tube(
-        rib_line(number), wall.RIB_HALF_HEIGHT * taper, wall.RIB_HALF_THICKNESS, facing=wall.outward, fineness=0.6
+        rib_line(number), wall.RIB_HALF_HEIGHT * taper, wall.RIB_HALF_THICKNESS, facing=wall.outward, fineness=0.6,
+        stretch=3.6,
     )
 
 
+VERTEBRA_HALF_HEIGHT = 8.2
 STERNUM_Z = (192.0, 46.0)
 # Height at which the cartilages 1..7 meet the sternum, and angle and height where 8..10 end below the one above.
 CARTILAGE_Z = (184.0, 153.0, 131.0, 111.5, 94.0, 78.5, 63.0)
@@ -132,7 +125,7 @@ def cartilage(number: int) -> Surface:
     """Left costal cartilage: from beyond the tip of its rib to the sternum (1..7) or the one above (8..10)."""
     i = number - 1
     tip = rib_line(number)[-1]
-    start = wall.RIB_TIP[i] + 10.0 / float(np.hypot(tip[0], tip[1] - float(wall.middle(tip[2]))))
+    start = wall.RIB_TIP[i] + 11.0 / float(np.hypot(tip[0], tip[1] - float(wall.middle(tip[2]))))
     if number <= 7:
         end_z = CARTILAGE_Z[i]
         end = np.pi - np.arcsin(24.0 / float(wall.half_width(np.array(end_z))))
@@ -153,14 +146,32 @@ def sternum() -> Surface:
     )
 
 
+class Extent(NamedTuple):
+    """Lowest and highest z of a tissue in mm."""
+
+    bottom: float
+    top: float
+
+
+def _vertebra_scale(level: int) -> Array:
+    """Width, depth and height in proportion to a thoracic vertebra."""
+    return np.array([1.3, 1.25, 1.25]) if level >= 12 else np.ones(3)
+
+
+def vertebra_extent(level: int) -> Extent:
+    """Extent of a vertebral body."""
+    z, half = float(wall.LEVEL_Z[level]), VERTEBRA_HALF_HEIGHT * float(_vertebra_scale(level)[2])
+    return Extent(z - half, z + half)
+
+
 def vertebra(level: int) -> Surface:
     """Vertebra with body and spinous process, without a canal."""
-    scale = np.array([1.3, 1.25, 1.25]) if level >= 12 else np.ones(3)
+    scale = _vertebra_scale(level)
     z = float(wall.LEVEL_Z[level])
     y = float(wall.spine_y(np.array(z)))
     points = np.array([[0, y + at, z] for at in (-6.0 * scale[1], 10.0, 24.0, 36.0)])
     width = np.array([8, 12.5, 14, 14, 12, 8.5, 6, 5, 4.5, 4, 3.5, 3.5]) * scale[0]
-    height = np.array([5.5, 7.6, 8.2, 8.2, 7.2, 5.8, 5, 4.5, 4.2, 4, 3.5, 3.5]) * scale[2]
+    height = np.array([5.5, 7.6, VERTEBRA_HALF_HEIGHT, VERTEBRA_HALF_HEIGHT, 7.2, 5.8, 5, 4.5, 4.2, 4, 3.5, 3.5]) * scale[2]
     return tube(
         points, width, height, facing=lambda p: np.tile([0.0, 0.0, 1.0], (len(p), 1)), exponent=2.5,
         coarsest=12.0, fineness=0.65,
@@ -180,10 +191,10 @@ def diaphragm() -> Surface:
     def field(p: Array) -> Array:
         x, y = DIAPHRAGM_SQUEEZE * p[..., 0], p[..., 1]
         p = np.stack([x, y, wall.dome(x, y)], axis=-1)
-        notch = y - np.hypot(0.25 * x, 13.0)
+        notch = y - np.hypot(0.15 * x, 20.0)
         f = np.stack([within(p), notch])
         top = f.max(axis=0)
-        result: Array = top + 12.0 * np.log(np.exp((f - top) / 12.0).sum(axis=0))
+        result: Array = top + 20.0 * np.log(np.exp((f - top) / 20.0).sum(axis=0))
         return result
 
     centre = np.array([0.0, -42.0, 0.0])
@@ -194,7 +205,7 @@ def diaphragm() -> Surface:
     radii = _first_outside(centre, ray, field, 200.0)
     return plate(
         lambda theta: np.interp(theta % (2 * np.pi), angles, radii),
-        centre[:2], DIAPHRAGM_HALF_THICKNESS, wall.dome, squeeze=DIAPHRAGM_SQUEEZE, coarsest=14.0, fineness=1.1, around=72,
+        centre[:2], DIAPHRAGM_HALF_THICKNESS, wall.dome, squeeze=DIAPHRAGM_SQUEEZE, coarsest=17.0, fineness=1.1, around=72,
     )
 
 
@@ -208,12 +219,13 @@ def liver() -> Surface:
     field = smooth_intersection(
         wall.inside_wall(9.0),
         wall.below_dome(DIAPHRAGM_HALF_THICKNESS + 4.5),
-        wall.in_ellipsoid(np.array([-58.0, -12.0, -32.0]), np.diag([105.0, 95.0, 68.0])),
+        wall.in_ellipsoid(np.array([-58.0, -12.0, -32.0]), np.diag([105.0, 95.0, 76.0])),
         wall.half_space((1, 0, 0), (24.0, 0, 0)),
         wall.half_space((0.537, 0.844, 0), (-16.0, 10.0, 0)),
         wall.half_space((0, 0.92, -0.39), (0, 4.0, -97.0)),
+        blend=8.0,
     )
-    return carved(np.array([-65.0, -14.0, -28.0]), np.array([75.0, 65.0, 50.0]), field, coarsest=17.0)
+    return carved(np.array([-65.0, -14.0, -28.0]), np.array([75.0, 65.0, 50.0]), field, coarsest=20.0)
 
 
 def stomach() -> Surface:
@@ -225,7 +237,7 @@ def stomach() -> Surface:
         wall.half_space((-1, 0, 0), (29.0, 0, 0)),
         wall.half_space((0, 1, 0), (0, 12.0, 0)),
     )
-    return carved(np.array([70.0, -28.0, -30.0]), np.array([45.0, 45.0, 45.0]), field, coarsest=15.0)
+    return carved(np.array([70.0, -28.0, -30.0]), np.array([45.0, 45.0, 45.0]), field, coarsest=18.0)
 
 
 def spleen() -> Surface:
@@ -237,7 +249,7 @@ def spleen() -> Surface:
         wall.half_space((0, -1, 0), (0, 18.0, 0)),
         wall.outside_ellipsoid(KIDNEY_CENTRE, KIDNEY_AXES, 5.0),
     )
-    return carved(np.array([96.0, 44.0, -46.0]), np.array([20.0, 28.0, 30.0]), field, coarsest=12.0)
+    return carved(np.array([96.0, 44.0, -46.0]), np.array([20.0, 28.0, 30.0]), field, coarsest=10.0)
 
 
 def pectoralis_major() -> Surface:
@@ -298,7 +310,7 @@ def trachea() -> Surface:
 
 def phrenic_nerve(side: int) -> Surface:
     """Nerve of 2 mm from the neck over the side of the heart to the diaphragm."""
-    z = np.array([225.0, 200, 175, 145, 120, 100, 82, 64, 46])
+    z = np.array([218.0, 200, 175, 145, 120, 100, 82, 64, 46])
     y = np.array([10.0, 6, 0, -6, -12, -16, -18, -20, -20])
     scale = 1 + 4.5 / np.linalg.norm(HEART_AXES, axis=1)
     grown = wall.in_ellipsoid(HEART_CENTRE, HEART_AXES * scale[:, None])

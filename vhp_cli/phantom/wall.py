@@ -12,8 +12,8 @@ from vhp_cli.phantom.shapes import Array, Field, monotone_curve
 
 # Half width, half depth and middle (y) of the wall at the height z. Below the ribs it is the abdominal wall.
 _Z = np.array([-190.0, -100.0, -40.0, 10.0, 60.0, 110.0, 155.0, 190.0, 210.0, 226.0])
-half_width = monotone_curve(_Z, np.array([146.0, 138.0, 146.0, 151.0, 149.0, 139.0, 119.0, 92.0, 72.0, 54.0]))
-half_depth = monotone_curve(_Z, np.array([100.0, 97.0, 103.0, 107.0, 105.0, 98.0, 84.0, 67.0, 55.0, 46.0]))
+half_width = monotone_curve(_Z, np.array([149.0, 142.0, 149.0, 154.0, 152.0, 143.0, 122.0, 93.0, 72.0, 54.0]))
+half_depth = monotone_curve(_Z, np.array([102.0, 99.0, 105.0, 109.0, 107.0, 100.0, 86.0, 68.0, 55.0, 46.0]))
 middle = monotone_curve(_Z, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 4.0, 9.0, 15.0, 20.0]))
 spine_y = monotone_curve(
     np.array([-190.0, -105.0, -20.0, 90.0, 178.0, 222.0]), np.array([56.0, 52.0, 60.0, 66.0, 55.0, 42.0])
@@ -27,7 +27,7 @@ RIB_DROP = np.array([36, 45, 52, 58, 62, 66, 70, 74, 74, 72, 46, 30.0])
 RIB_TIP = np.radians([138, 145, 146, 145, 142, 139, 135, 129, 122, 115, 84, 62.0])
 RIB_HALF_HEIGHT, RIB_HALF_THICKNESS = 5.3, 3.2
 
-DOME_RIM_Z, DOME_HEIGHT = -42.0, 56.0
+DOME_RIM_Z, DOME_HEIGHT = -48.0, 56.0
 
 
 def on_wall(angle: Array, z: Array, depth: Array | float = 0.0) -> Array:

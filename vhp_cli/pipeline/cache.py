@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from vhp_cli import __version__
-from vhp_cli.formats.atomic import atomic_write_bytes
-from vhp_cli.kernels import source_hash
+from vhp_cli.formats.atomic import write_atomically
 
 _KEEP_DAYS = 60
 
@@ -28,6 +27,16 @@ def default_directory() -> Path:
         return Path(chosen)
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "vhp"
+
+
+def _code_stamp() -> str:
+    """Identify the code that measures: by version, and by its files, which differ within a version in a checkout."""
+    package = Path(__file__).resolve().parents[1]
+    files = [package / "mesh.py"]
+    for floor in ("formats", "inspection", "kernels"):
+        files += sorted(path for path in (package / floor).iterdir() if path.suffix in (".py", ".so", ".dylib", ".dll"))
+    facts = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in files]
+    return f"{__version__} {hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}"
 
 
 class Cache:
@@ -42,7 +51,7 @@ class Cache:
     """
 
     def __init__(self, directory: Path | None, paths: Iterable[Path]) -> None:
-        self._stamp = f"{__version__} {source_hash()}"
+        self._stamp = _code_stamp()
         self._old: dict[str, dict[str, Any]] = {}
         self._new: dict[str, dict[str, Any]] = {}
         self._path: Path | None = None
@@ -72,7 +81,7 @@ class Cache:
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             document = {"stamp": self._stamp, "sections": self._new}
-            atomic_write_bytes(self._path, json.dumps(document, separators=(",", ":")).encode())
+            write_atomically(self._path, json.dumps(document, separators=(",", ":")).encode())
             oldest = time.time() - _KEEP_DAYS * 86400
             for file in self._path.parent.glob("*.json"):
                 if file.stat().st_mtime < oldest:

@@ -72,7 +72,7 @@ def render(report: Report, form: str, *, base: str = "", width: int = 100, verbo
         from vhp_cli.report.as_github import render_github
 
         return render_github(report, base=base)
-    raise UsageError(f"There is no report format {form!r}.", hint=f"Use one of {', '.join(FORMATS)}.")
+    raise UsageError(f"no such report format {form!r}", hint=f"use one of {', '.join(FORMATS)}")
 
 
 def print_table(report: Report, console: Console, *, verbose: bool = False, nesting: bool = False) -> None:

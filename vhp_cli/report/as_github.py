@@ -22,7 +22,7 @@ def _line(finding: Finding, files: dict[str, str], base: str) -> str:
     properties = [f"title={_property(rule_name(finding['rule']) + (' (known)' if known else ''))}"]
     file = next((files[name] for name in finding["tissues"] if name in files), "")
     if file:
-        properties.insert(0, f"file={_property(text.visible(f'{base}{file}'))}")
+        properties.insert(0, f"file={_property(text.visible(text.file_path(base, file)))}")
     lines = [text.headline(finding), *(text.place(place) for place in finding["places"][:3])]
     if finding["hint"]:
         lines.append(f"Fix: {text.visible(finding['hint'])}")

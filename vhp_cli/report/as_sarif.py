@@ -98,7 +98,7 @@ def render_sarif(report: Report, *, base: str = "") -> str:
     """
     findings = all_findings(report)
     rules = sorted({finding["rule"] for finding in findings})
-    files = {tissue["name"]: f"{base}{tissue['file']}" for tissue in report["tissues"] if tissue["file"]}
+    files = {tissue["name"]: text.file_path(base, tissue["file"]) for tissue in report["tissues"] if tissue["file"]}
     compared = any(finding.get("known") for finding in findings)
     results = []
     seen: Counter[str] = Counter()

@@ -10,7 +10,7 @@ from vhp_cli.errors import UsageError
 from vhp_cli.measures import Finding, Level
 from vhp_cli.report.verdict import LEVELS
 
-_HINT = "Write the baseline with: vhp check MODEL --format json --report baseline.json"
+_HINT = "write the baseline with: vhp check MODEL --format json --report baseline.json"
 _Identity = tuple[str, frozenset[str]]
 _Old = tuple[Level, int]
 
@@ -26,7 +26,7 @@ def parse_baseline(data: bytes | str) -> dict[str, Any]:
     try:
         report = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise UsageError(f"The baseline is not a JSON document: {error}", hint=_HINT) from None
+        raise UsageError(f"the baseline is not a JSON document: {error}", hint=_HINT) from None
     _old_findings(report)
     return dict(report)
 
@@ -80,16 +80,16 @@ def _best_match(finding: Finding, old: list[_Old]) -> _Old | None:
 def _old_findings(report: object) -> dict[_Identity, list[_Old]]:
     """Return level and count of the findings of an earlier report by rule and tissues, checked."""
     if not isinstance(report, dict):
-        raise UsageError("The baseline is not a report of vhp.", hint=_HINT)
+        raise UsageError("the baseline is not a report of vhp", hint=_HINT)
     if report.get("schema") != "vhp-report/1":
-        raise UsageError(f"The baseline has the schema {report.get('schema')!r}, not 'vhp-report/1'.", hint=_HINT)
+        raise UsageError(f"the baseline has the schema {report.get('schema')!r}, not 'vhp-report/1'", hint=_HINT)
     findings = report.get("findings")
     if not isinstance(findings, list):
-        raise UsageError("The baseline has no list of findings.", hint=_HINT)
+        raise UsageError("the baseline has no list of findings", hint=_HINT)
     old: dict[_Identity, list[_Old]] = defaultdict(list)
     for index, finding in enumerate(findings):
         if not isinstance(finding, dict):
-            raise UsageError(f"findings[{index}] of the baseline is not an object.", hint=_HINT)
+            raise UsageError(f"findings[{index}] of the baseline is not an object", hint=_HINT)
         rule, tissues, level, count = (finding.get(key) for key in ("rule", "tissues", "level", "count"))
         if (
             not isinstance(rule, str)
@@ -99,6 +99,6 @@ def _old_findings(report: object) -> dict[_Identity, list[_Old]]:
             or not isinstance(count, int)
             or isinstance(count, bool)
         ):
-            raise UsageError(f"findings[{index}] of the baseline lacks a rule, level, tissues or count.", hint=_HINT)
+            raise UsageError(f"findings[{index}] of the baseline lacks a rule, level, tissues or count", hint=_HINT)
         old[rule, frozenset(tissues)].append((level, count))
     return old

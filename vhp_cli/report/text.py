@@ -78,3 +78,11 @@ def tissue_names(finding: Finding) -> str:
 def headline(finding: Finding) -> str:
     """Return the tissues and the message of a finding in one line."""
     return f"{tissue_names(finding)}: {visible(finding['message'])}"
+
+
+def file_path(base: str, file: str) -> str:
+    """Join the directory of the model and a file of a tissue, without ``./`` in front."""
+    path = file if file.startswith("/") else f"{base}{file}"
+    while path.startswith("./"):
+        path = path[2:].lstrip("/")
+    return path

@@ -1,0 +1,205 @@
+"""The benchmark runs and counts right; how fast anything is, is not a matter for tests."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from shapes import box, joined, moved, sphere
+
+from vhp_cli.mesh import Mesh
+
+BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
+
+FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the benchmark measures with os.wait4")
+
+
+@pytest.fixture
+def benchmark_modules(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    names = ("check", "models", "peers")
+    yield {name: importlib.import_module(name) for name in names}
+    for name in names:
+        sys.modules.pop(name, None)
+
+
+@pytest.fixture
+def check(benchmark_modules: dict[str, ModuleType]) -> ModuleType:
+    return benchmark_modules["check"]
+
+
+@pytest.fixture
+def models(benchmark_modules: dict[str, ModuleType]) -> ModuleType:
+    return benchmark_modules["models"]
+
+
+def write_stl(path: Path, mesh: Mesh) -> None:
+    facets = np.zeros(len(mesh.faces), FACET)
+    facets["corners"] = mesh.vertices[mesh.faces]
+    path.write_bytes(bytes(80) + np.uint32(len(facets)).tobytes() + facets.tobytes())
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    """Five tissues with one defect of each sort."""
+    directory = tmp_path / "model"
+    directory.mkdir()
+    opened = box((100, 0, 0), (110, 10, 10))
+    tissues = {
+        "outer": sphere(60, subdivisions=3),
+        "left": box((-10, -10, -10), (10, 10, 10)),
+        "right": box((10.5, -10, -10), (30, 10, 10)),
+        "open": Mesh(opened.vertices, opened.faces[1:]),
+        # Crosses itself, and the open one.
+        "double": joined(box((103, 3, 4), (120, 13, 12)), box((114, 5, 7), (126, 16, 15))),
+    }
+    for name, mesh in tissues.items():
+        write_stl(directory / f"{name}.stl", mesh)
+    return directory
+
+
+EXPECTED = {
+    "tissues": 5,
+    "triangles": 20 * 4**3 + 12 + 12 + 11 + 24,
+    "not_closed": 1,
+    "not_manifold": 0,
+    "misoriented": 0,
+    "self_intersecting": 1,
+    "poor_triangles": 0,
+    "short_edges": 0,
+    "contacts": 1,
+    "narrow_gaps": 1,
+    "nested": 2,
+}
+
+
+def test_every_contestant_finds_what_is_there(model: Path, tmp_path: Path, check: ModuleType) -> None:
+    target = tmp_path / "figures.json"
+    command = [
+        sys.executable,
+        str(BENCHMARKS / "check.py"),
+        "--models",
+        str(model),
+        "--rounds",
+        "1",
+        "--json",
+        str(target),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    results = json.loads(target.read_text())["models"][str(model)]
+    present = [name for name in check.peers.STACKS if check.installed(name)]
+    assert list(results) == ["vhp", *present]
+    for name, result in results.items():
+        assert result["found"] == EXPECTED, name
+        (used,) = result["runs"]
+        assert used["cpu_s"] > 0 and used["wall_s"] > 0 and used["memory_mb"] > 1
+    for name in set(check.peers.STACKS) - set(present):
+        assert f"{name}: not installed" in done.stdout
+
+
+def test_a_failing_contestant_is_named_and_fails_the_run(model: Path) -> None:
+    (model / "left.stl").write_bytes(b"")
+    command = [
+        sys.executable,
+        str(BENCHMARKS / "check.py"),
+        "--models",
+        str(model),
+        "--rounds",
+        "1",
+        "--peers",
+        "igl+fcl",
+    ]
+    if not all(importlib.util.find_spec(module) for module in ("igl", "fcl")):
+        pytest.skip("libigl or python-fcl is not installed")
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "igl+fcl failed: " in done.stdout
+
+
+def test_checking_again_is_measured_on_a_copy(model: Path, tmp_path: Path, check: ModuleType) -> None:
+    before = {file.name: file.read_bytes() for file in model.iterdir()}
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    result = check.warm(model, 1, scratch)
+    assert {len(runs) for runs in result.values()} == {1}
+    assert {file.name: file.read_bytes() for file in model.iterdir()} == before
+    assert "unchanged" in check.warm_table(result)
+
+
+def test_a_missing_stack_is_reported(check: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    stack = check.peers.Stack(check.peers.by_igl, ("no_such_module",), ("no-such-package",))
+    monkeypatch.setitem(check.peers.STACKS, "absent", stack)
+    monkeypatch.setattr(sys, "argv", ["check.py", "--models", "", "--peers", "absent"])
+    assert check.main() == 0
+    assert "absent: not installed (pip install no-such-package)" in capsys.readouterr().out
+
+
+def test_a_missing_model_is_skipped(check: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys, tmp_path: Path) -> None:
+    monkeypatch.setattr(sys, "argv", ["check.py", "--models", str(tmp_path), "--peers", ""])
+    assert check.main() == 0
+    assert f"skipped: no STL files in {tmp_path}" in capsys.readouterr().out
+
+
+def test_measure_counts_the_work_and_memory_of_the_child(check: ModuleType) -> None:
+    busy = check.measure([sys.executable, "-c", "import time\nwhile time.process_time() < 0.3: pass"])
+    large = check.measure([sys.executable, "-c", "b'x' * (200 * 2**20)"])
+    assert busy.cpu_s >= 0.3
+    assert busy.wall_s >= 0.3
+    assert 200 < large.memory_mb < 250
+
+
+def test_measure_refuses_other_exit_codes(check: ModuleType) -> None:
+    command = [sys.executable, "-c", "import sys; sys.exit('no luck')"]
+    with pytest.raises(check.RunFailed, match="no luck"):
+        check.measure(command)
+    assert check.measure(command, accept=(1,)).code == 1
+
+
+def test_ratios_are_taken_within_a_round(check: ModuleType) -> None:
+    peer = [{"wall_s": 4.0}, {"wall_s": 30.0}, {"wall_s": 9.0}]
+    vhp = [{"wall_s": 1.0}, {"wall_s": 10.0}, {"wall_s": 4.5}]
+    assert check.ratios(peer, vhp, "wall_s") == [2.0, 3.0, 4.0]
+    assert check.spread([2.0, 3.0, 4.0], 1) == "3.0 (2.0-4.0)"
+
+
+@pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
+def test_exponent_is_that_of_a_power_law(check: ModuleType, power: float) -> None:
+    sizes = [1e5, 3e5, 1e6, 5e6]
+    assert check.exponent(sizes, [3 * size**power for size in sizes]) == pytest.approx(power)
+
+
+def test_table_is_markdown(check: ModuleType) -> None:
+    assert check.table(["", "s"], [["vhp", "1"], ["another", "10"]]).splitlines() == [
+        "|         |   s |",
+        "|---------|----:|",
+        "| vhp     |   1 |",
+        "| another |  10 |",
+    ]
+
+
+def test_a_moved_tissue_replaces_the_link_and_not_its_target(models: ModuleType, tmp_path: Path) -> None:
+    mesh = box()
+    original, place = tmp_path / "box.stl", tmp_path / "link.stl"
+    write_stl(original, mesh)
+    content = original.read_bytes()
+    place.symlink_to(original)
+    models.write_moved(original, place, (0.5, 0.0, -2.0))
+    assert original.read_bytes() == content
+    assert not place.is_symlink()
+    corners = np.frombuffer(place.read_bytes(), FACET, offset=84)["corners"]
+    assert np.array_equal(corners, moved(mesh, (0.5, 0, -2)).vertices[mesh.faces].astype("f4"))
+
+
+def test_copies_lie_side_by_side(models: ModuleType, model: Path, tmp_path: Path) -> None:
+    models.write_copies(model, 3, tmp_path / "copies")
+    assert models.triangle_count(tmp_path / "copies") == 3 * EXPECTED["triangles"]
+    assert len(models.stl_files(tmp_path / "copies")) == 15

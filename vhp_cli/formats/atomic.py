@@ -1,0 +1,75 @@
+"""Write files whole or not at all: a reader never sees half a file under its final name."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+from vhp_cli.errors import VhpError
+
+
+def write_atomically(path: Path, data: bytes | Callable[[BinaryIO], None]) -> None:
+    """Write a file under a temporary name beside it, flush it to the disk, and rename it.
+
+    Parameters
+    ----------
+    path
+        Final name; an existing file is replaced.
+    data
+        The contents, or a function that writes them to the open file.
+
+    Raises
+    ------
+    VhpError
+        If the file system refuses (no such directory, no permission, disk full); the temporary file is removed and
+        an existing file under the final name is left as it was.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name[:100]}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
+    try:
+        try:
+            descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
+            with os.fdopen(descriptor, "wb") as file:
+                if callable(data):
+                    data(file)
+                else:
+                    file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise
+        _sync_directory(path.parent)
+    except OSError as error:
+        raise VhpError(
+            f"can't write {path}: {error.strerror or error}",
+            hint="check that the directory exists, may be written to, and has room",
+        ) from error
+
+
+def _sync_directory(directory: Path) -> None:
+    """Make the rename last; some systems can't open or flush a directory, and lose nothing else by that."""
+    if os.name == "nt":
+        return
+    with contextlib.suppress(OSError):
+        descriptor = os.open(directory, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def atomic_write_bytes(path: Path, data: bytes) -> None:
+    """Write bytes to a file; see `write_atomically`."""
+    write_atomically(path, data)
+
+
+def atomic_write_text(path: Path, text: str) -> None:
+    """Write text to a file as UTF-8, with line ends as they are; see `write_atomically`."""
+    write_atomically(path, text.encode("utf-8"))
