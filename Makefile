@@ -3,6 +3,7 @@
 
 PYTHON ?= python3
 PYTEST_ARGS ?=
+BENCH_ARGS ?=
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -69,6 +70,10 @@ sanitize: $(VENV)/.test ## the kernel tests under the address and undefined-beha
 coverage: $(VENV)/.dev ## line and branch coverage of the tests
 	$(BIN)/coverage run --branch --source=vhp_cli -m pytest --slow $(PYTEST_ARGS)
 	$(BIN)/coverage report --show-missing --skip-covered
+
+bench: $(VENV)/.package ## time vhp check beside other libraries; BENCH_ARGS='--rounds 3'
+	$(PIP) install -e '.[bench]'
+	$(BIN)/python benchmarks/check.py $(BENCH_ARGS)
 
 wheel: $(BIN)/python ## source archive and wheel in dist/
 	$(PIP) install build

@@ -11,7 +11,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from shapes import box, joined, moved, sphere
+from shapes import box, moved, sphere
 
 from vhp_cli.mesh import Mesh
 
@@ -52,6 +52,9 @@ def model(tmp_path: Path) -> Path:
     """Five tissues with one defect of each sort."""
     directory = tmp_path / "model"
     directory.mkdir()
+    ball = sphere(10, (115, 6, 7), subdivisions=1)
+    spike = ball.vertices.copy()
+    spike[spike[:, 0].argmax()] = (101, 5.5, 6.5)
     opened = box((100, 0, 0), (110, 10, 10))
     tissues = {
         "outer": sphere(60, subdivisions=3),
@@ -59,7 +62,7 @@ def model(tmp_path: Path) -> Path:
         "right": box((10.5, -10, -10), (30, 10, 10)),
         "open": Mesh(opened.vertices, opened.faces[1:]),
         # Crosses itself, and the open one.
-        "double": joined(box((103, 3, 4), (120, 13, 12)), box((114, 5, 7), (126, 16, 15))),
+        "spike": Mesh(spike, ball.faces),
     }
     for name, mesh in tissues.items():
         write_stl(directory / f"{name}.stl", mesh)
@@ -68,7 +71,7 @@ def model(tmp_path: Path) -> Path:
 
 EXPECTED = {
     "tissues": 5,
-    "triangles": 20 * 4**3 + 12 + 12 + 11 + 24,
+    "triangles": 20 * 4**3 + 12 + 12 + 11 + 80,
     "not_closed": 1,
     "not_manifold": 0,
     "misoriented": 0,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -31,7 +30,7 @@ def model(tmp_path) -> Path:
     directory.mkdir()
     write_mesh(directory / "skin.stl", sphere(60, subdivisions=3))
     write_mesh(directory / "liver.stl", sphere(15, (20, 0, 0), subdivisions=3))
-    write_mesh(directory / "optic_nerve_left.stl", box((-20, -1, -1), (-5, 1, 1)))
+    write_mesh(directory / "optic_nerve_left.stl", box((-12, -3, -3), (-6, 3, 3)))
     return directory
 
 
@@ -88,11 +87,12 @@ def test_crossing_tissues_fail(model):
 
 
 def test_gap_limit(model):
-    write_mesh(model / "stone.stl", box((-20, 2.5, -1), (-5, 4, 1)))
+    write_mesh(model / "stone.stl", box((-12, 4.5, -3), (-6, 10, 3)))
     assert run(model)[0] == 0
     code, report = run(model, "--gap", "2")
     assert code == 1 and rules(report) == {"P005"}
-    assert report["pairs"][-1]["min_gap_mm"] == pytest.approx(1.5)
+    gaps = [pair["min_gap_mm"] for pair in report["pairs"] if pair["min_gap_mm"]]
+    assert gaps == pytest.approx([1.5])
     assert run(model, "--gap", "2", "--ignore", "P005")[0] == 0
     _, wide = run(model, "--gap-search", "inf")
     assert all(pair["min_gap_mm"] is not None for pair in wide["pairs"]) and len(wide["pairs"]) == 6
@@ -135,7 +135,7 @@ def test_jobs_and_cache_do_not_change_the_report(model):
 
 def test_cache_sees_every_change(model):
     assert run(model)[0] == 0
-    write_mesh(model / "liver.stl", moved(sphere(15, (20, 0, 0), subdivisions=3), (-30, 0, 0)))
+    write_mesh(model / "liver.stl", moved(sphere(15, (20, 0, 0), subdivisions=3), (-44, 0, 0)))
     code, report = run(model)
     assert code == 1 and rules(report) == {"P001"}
     data = bytearray((model / "skin.stl").read_bytes())
@@ -207,7 +207,7 @@ def test_declared_nesting_and_contact(model):
     code, report = run(model)
     assert code == 1 and rules(report) == {"P006"} and len(report["findings"]) == 1
     (model / "vhp.toml").write_text('[[may-touch]]\na = "disc"\nb = "optic*"\n')
-    write_mesh(model / "disc.stl", box((-20, 1, -1), (-5, 3, 1)))
+    write_mesh(model / "disc.stl", box((-12, 3, -3), (-6, 8, 3)))
     assert run(model)[0] == 0
     (model / "vhp.toml").unlink()
     code, report = run(model)
@@ -238,20 +238,24 @@ def test_dry_run_lists_tissues(model):
 def test_memory_limit_is_an_error_of_that_tissue_alone(model):
     """A tissue that needs more memory than there is fails; the others are still checked."""
     resource = pytest.importorskip("resource")
-    vertices = np.random.default_rng(0).uniform(0, 100, (900_000, 3))
-    write_mesh(model / "huge.stl", Mesh(vertices, np.arange(900_000).reshape(-1, 3)))
+    rows = 400
+    x, y = np.meshgrid(np.arange(float(rows)), np.arange(float(rows)))
+    corner = np.arange(rows * rows).reshape(rows, rows)[:-1, :-1].ravel()
+    faces = np.concatenate([corner[:, None] + [0, 1, rows + 1], corner[:, None] + [0, rows + 1, rows]])
+    write_mesh(model / "huge.stl", Mesh(np.stack((x, y, x * 0), -1).reshape(-1, 3), faces))
     code = (
         "import resource, sys; import numpy, vhp_cli.pipeline.check, vhp_cli.report.as_json;"
         "used = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize();"
-        f"resource.setrlimit(resource.RLIMIT_AS, (used + 130_000_000,) * 2);"
+        "resource.setrlimit(resource.RLIMIT_AS, (used + 40_000_000,) * 2);"
         "from vhp_cli.cli import main; sys.exit(main(sys.argv[1:]))"
     )
-    if not shutil.which("true") or not Path("/proc/self/statm").exists() or not hasattr(resource, "RLIMIT_AS"):
-        pytest.skip("needs /proc and RLIMIT_AS")
+    if not Path("/proc/self/statm").exists():
+        pytest.skip("needs /proc")
     done = subprocess.run(
         [sys.executable, "-c", code, "check", str(model), "--report", "-", "-j1", "--no-cache"],
         capture_output=True,
         check=False,
+        timeout=60,
     )
     assert done.returncode == 3, done.stderr.decode()
     report = json.loads(done.stdout)

@@ -192,18 +192,6 @@ _TABLE = (
     ),
     Rule(
         "F012",
-        "not-checked",
-        "error",
-        "The check could not be finished.",
-        why="Nothing is known of the tissue or the pair, so the model can't be called fit for a solver.",
-        example="The machine ran out of memory, the time limit was reached, or a mesh hit an error of vhp itself.",
-        fix=(
-            "Run the check again with more memory or time, or fewer jobs; if it fails again, please report the file as "
-            "a bug of vhp."
-        ),
-    ),
-    Rule(
-        "F012",
         "not-processed",
         "error",
         "The tissue could not be processed.",

@@ -130,6 +130,10 @@ def _refuse_other_content(path: Path, data: bytes, held: int) -> None:
             raise UnreadableFileError(
                 path, f"the file is {what}, not STL", where="byte 0", hint="unpack, rename or convert it"
             )
+    if held == 0:
+        raise UnreadableFileError(
+            path, "the file ends before its first facet", where=f"byte {len(data)}", hint="export the surface again"
+        )
     if is_text(data[:_SAMPLE]):
         raise UnreadableFileError(
             path, "the file is text, but no STL", where="line 1", hint='an ASCII STL file begins with "solid"'
@@ -138,7 +142,7 @@ def _refuse_other_content(path: Path, data: bytes, held: int) -> None:
     with np.errstate(invalid="ignore"):
         size = np.abs(records["corners"].reshape(-1, 9))
         plausible = ((size == 0) | ((size > 1e-30) & (size <= 1e30))).all(axis=1)
-    if held == 0 or 2 * np.count_nonzero(plausible) < len(plausible):
+    if 2 * np.count_nonzero(plausible) < len(plausible):
         raise UnreadableFileError(
             path,
             "the contents are not the facets of an STL file",

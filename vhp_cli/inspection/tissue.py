@@ -83,7 +83,9 @@ def inspect_tissue(mesh: Mesh, limits: ShapeLimits, *, unreferenced: int = 0) ->
     closed = sound and not len(topology.boundary_edges) and not has_odd_edge(mesh, topology)
     manifold = sound and not len(topology.nonmanifold_edges) and not len(topology.nonmanifold_vertices)
     oriented = sound and not len(topology.inconsistent_edges)
-    outward = closed and manifold and oriented and inward is None and quality.volume > 0
+    # A face and its duplicate enclose nothing: closed by count, but no solid.
+    simple = manifold and oriented and not len(topology.duplicate_faces)
+    outward = closed and simple and inward is None and quality.volume > 0
     measures: TissueMeasures = {
         "triangles": len(mesh.faces),
         "vertices": len(mesh.vertices),

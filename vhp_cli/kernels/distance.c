@@ -14,6 +14,11 @@
 
 #include <math.h>
 
+/* Planes and lines rule out a pair by a distance of their own only if they are well determined, with
+ * angles of which the sine squared is above 0.01, and if that distance is larger by some margin. */
+#define WELL_SHAPED 0.01
+#define SURELY (1 + 1e-6)
+
 static inline double dot(const double *a, const double *b)
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -69,6 +74,20 @@ void vhp_shape_of(Shape *shape, const double *a, const double *b, const double *
     }
     const double height = dot(shape->height, shape->height);
     shape->inverse_height = inverse > 0 && height > 0 ? 1 / height : 0;
+    cross(base, shape->height, shape->normal);
+    shape->inverse_normal = height * inverse > WELL_SHAPED ? inverse * shape->inverse_height : 0;
+}
+
+int vhp_plane_separates(const Shape *shape, const double *const points[3], double best)
+{
+    double heights[3], offset[3], least = INFINITY;
+    for (int k = 0; k < 3; k++) {
+        subtract(points[k], shape->v[0], offset);
+        heights[k] = dot(offset, shape->normal);
+        least = fabs(heights[k]) < least ? fabs(heights[k]) : least;
+    }
+    return heights[0] * heights[1] > 0 && heights[0] * heights[2] > 0 &&
+           least * least * shape->inverse_normal > best * SURELY;
 }
 
 /* A vertex above the interior of a triangle. */
@@ -119,7 +138,7 @@ static inline double edge_to_edge(const Shape *a, int i, const Shape *b, int j, 
     subtract(b->v[j], a->v[i], offset);
     const double height = dot(offset, normal);
     /* Lines farther apart need no more, if their distance is known well: not if nearly parallel. */
-    if (height * height > best * square * (1 + 1e-6) && square * a->inverse[i] * b->inverse[j] > 0.01)
+    if (height * height > best * square * SURELY && square * a->inverse[i] * b->inverse[j] > WELL_SHAPED)
         return best;
     cross(offset, b->edge[j], moment);
     const double s = dot(moment, normal) / square;

@@ -11,9 +11,15 @@ typedef struct {
     double height[3];       /* from the foot on the line of the base to the vertex opposite; all 0 if degenerate */
     double foot;            /* place of the foot along the base */
     double inverse_height;  /* 1 / squared length of the height; 0 if degenerate */
+    double normal[3];       /* base x height */
+    double inverse_normal;  /* 1 / squared length of the normal; 0 if the triangle is degenerate or a sliver */
 } Shape;
 
 void vhp_shape_of(Shape *shape, const double *a, const double *b, const double *c);
+
+/* 1 if the plane of the triangle keeps the three points farther away than a squared distance of `best`;
+ * 0 if it can't tell. */
+int vhp_plane_separates(const Shape *shape, const double *const points[3], double best);
 
 /* The smaller of `best` and the squared distance; in the second case the two nearest points are
  * written to `points` (on a, on b). */

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vhp_cli.kernels._library import address, check_allocation, f64, function, i32, i64, pointer
+from vhp_cli.kernels._library import address, check_allocation, f64, function, i64, pointer
 
 KIND_TOUCH = 1
 KIND_COPLANAR = 2
@@ -158,23 +158,22 @@ class Tree:
         boxes = np.empty((2 << levels, 6), np.float32)
         counts = np.zeros(2, np.int64)
         bounds = np.empty((2, 3))
-        outputs = (tree_vertices, tree_faces, numbers, face_boxes, boxes, counts, bounds)
+        outputs = [address(x) for x in (tree_vertices, tree_faces, numbers, face_boxes, boxes, counts, bounds)]
         for _ in range(2):
-            status = _build(
-                address(vertices), len(vertices), address(faces), self.n_faces, levels, *map(address, outputs)
-            )
+            status = _build(address(vertices), len(vertices), address(faces), self.n_faces, levels, *outputs)
             if status != -3:
                 break
             vertices = np.where(np.abs(vertices) < _SMALLEST, 0.0, vertices)
         check_allocation(status)
         if status == -2:
             raise ValueError("a coordinate is not finite, or above 1e38 mm")
-        n_regular, n_used = map(int, counts)
+        n_regular, n_used = int(counts[0]), int(counts[1])
         if n_used < len(vertices):
             tree_vertices = tree_vertices[:n_used].copy()
-        self.lower, self.upper = bounds
-        self._arrays = (tree_vertices, tree_faces, numbers, face_boxes, boxes)
-        self._view = _TreeView(self.n_faces, n_regular, n_used, 1 << levels, levels, *map(address, self._arrays))
+        self.lower, self.upper = bounds[0], bounds[1]
+        self._arrays: tuple[NDArray[np.generic], ...] = (tree_vertices, tree_faces, numbers, face_boxes, boxes)
+        addresses = [address(x) for x in self._arrays]
+        self._view = _TreeView(self.n_faces, n_regular, n_used, 1 << levels, levels, *addresses)
         self._moments: NDArray[np.float64] | None = None
         for array in (*self._arrays, self.lower, self.upper):
             array.flags.writeable = False

@@ -63,6 +63,8 @@ static void close_facet(Parser *p)
         memcpy(p->facets + 9 * account[N_FACETS], p->corners, sizeof p->corners);
         account[N_FACETS]++;
     } else {
+        if (p->n_corners != 3)
+            note_loose(p, p->text + account[LAST_START]);
         if (account[N_BAD] == 0)
             account[FIRST_BAD] = account[LAST_START];
         p->bad[account[N_BAD]] = account[N_FACETS] + account[N_BAD];

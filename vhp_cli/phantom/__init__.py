@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from vhp_cli.phantom.defects import plant_defects
+from vhp_cli.phantom.file_defects import plant_file_defects
 from vhp_cli.phantom.model import generate
+from vhp_cli.phantom.sites import Planted
 
-__all__ = ["generate"]
+__all__ = ["Planted", "generate", "plant_defects", "plant_file_defects"]

@@ -7,8 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from vhp_cli.phantom import torso, wall
+from vhp_cli.phantom.curves import Array
 from vhp_cli.phantom.parts import Part
-from vhp_cli.phantom.shapes import Array, Surface, ellipsoid, tube
+from vhp_cli.phantom.shapes import ellipsoid, tube
+from vhp_cli.phantom.surface import Surface
 
 DETAIL, INTERCOSTAL, BRANCH, NODE = range(torso.DETAIL, torso.DETAIL + 4)
 
@@ -26,14 +28,12 @@ def intercostal(number: int, depth: float, radius: float) -> Surface:
     (angle, z), (next_angle, next_z) = torso.around_wall(number), torso.around_wall(number + 1)
     part = np.linspace(0.06, 0.34, 6)
     t = np.linspace(0, 1, 9)
-    line = wall.on_wall(
-        np.interp(part, t, 0.5 * (angle + next_angle)), np.interp(part, t, 0.5 * (z + next_z)), depth
-    )
+    line = wall.on_wall(np.interp(part, t, 0.5 * (angle + next_angle)), np.interp(part, t, 0.5 * (z + next_z)), depth)
     return tube(line, radius, fineness=0.5, samples=81)
 
 
 def directions(number: int) -> Array:
-    """`number` directions spread evenly over the half sphere x > 0 (Fibonacci lattice)."""
+    """Return `number` directions spread evenly over the half sphere x > 0 (Fibonacci lattice)."""
     i = np.arange(number) + 0.5
     x, turn = i / number, np.pi * (1 + np.sqrt(5)) * i
     out = np.sqrt(1 - x * x)
@@ -68,7 +68,7 @@ def _spine_and_vessels() -> Iterator[Part]:
         name = f"intervertebral_disc_{wall.LEVELS[level]}_{wall.LEVELS[level + 1]}"
         yield Part(name, disc(level), DETAIL)
     z = np.array([-72.0, -100, -130, -160])
-    psoas = np.stack([np.array([29.0, 32, 33, 34]), wall.spine_y(z) + [2, 0, -2, -6], z], axis=1)
+    psoas = np.stack([np.array([29.0, 32, 33, 34]), wall.spine_y(z) + np.array([2, 0, -2, -6]), z], axis=1)
     yield Part("psoas_major_{side}", tube(psoas, np.array([5.0, 8, 9, 7])), DETAIL)
     yield Part("adrenal_gland_{side}", ellipsoid(np.array([46.0, 42, -44]), np.diag([6.0, 4, 8])), DETAIL)
     yield Part("thyroid_lobe_{side}", ellipsoid(np.array([16.5, 1, 236]), np.diag([5.0, 5, 12])), DETAIL)

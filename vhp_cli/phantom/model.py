@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from vhp_cli.errors import UsageError
 from vhp_cli.mesh import Mesh
+from vhp_cli.phantom.curves import Array, monotone_curve
 from vhp_cli.phantom.details import further_parts
 from vhp_cli.phantom.parts import Part
-from vhp_cli.phantom.shapes import Array, monotone_curve
 from vhp_cli.phantom.torso import default_parts
 
 SKIN_THICKNESS = 1.3

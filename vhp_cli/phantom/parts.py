@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from vhp_cli.phantom.shapes import Surface
+from vhp_cli.phantom.surface import Surface
 
 
 @dataclass(frozen=True, slots=True)

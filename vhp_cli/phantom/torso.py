@@ -8,18 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from vhp_cli.phantom import wall
+from vhp_cli.phantom.curves import Array, monotone_curve
 from vhp_cli.phantom.parts import Part
-from vhp_cli.phantom.shapes import (
-    Array,
-    Surface,
-    carved,
-    ellipsoid,
-    monotone_curve,
-    plate,
-    smooth_intersection,
-    stacked,
-    tube,
-)
+from vhp_cli.phantom.shapes import carved, ellipsoid, first_outside, plate, smooth_intersection, stacked, tube
+from vhp_cli.phantom.surface import Surface
 
 # Ranks: what a model of few tissues is made of comes first.
 SHELL, LUNG, RIB, ORGAN, BONE, MUSCLE, VESSEL, CARTILAGE, NERVE, VERTEBRA, DETAIL = range(11)
@@ -56,13 +48,12 @@ def average_body() -> Surface:
     centres = np.stack([np.zeros_like(heights), 0.5 * (front(heights) + back(heights)), heights], axis=1)
     across = (width(heights) * scale)[:, None] * [1.0, 0.0, 0.0]
     along = (0.5 * (back(heights) - front(heights)) * scale)[:, None] * [0.0, 1.0, 0.0]
-    return stacked(
-        centres, across, along, np.zeros(len(heights)), exponent=2.4, coarsest=36.0, fineness=1.7, around=64
-    )
+    return stacked(centres, across, along, np.zeros(len(heights)), exponent=2.4, coarsest=36.0, fineness=1.7, around=64)
 
 
 def lung(side: int) -> Surface:
     """Lung of the left (+1) or right (-1) side: what heart, spine, ribs and diaphragm leave free."""
+
     def behind(p: Array) -> Array:
         # In front of the rib necks, which run backwards from the spine.
         x, y = side * p[..., 0], p[..., 1] - wall.spine_y(p[..., 2])
@@ -109,7 +100,11 @@ def rib(number: int) -> Surface:
     """Left rib with its head beside the spine."""
     taper = np.array([0.7, 0.85, 1, 1, 1, 1, 1, 1, 1, 0.95, 0.72])
     return tube(
-        rib_line(number), wall.RIB_HALF_HEIGHT * taper, wall.RIB_HALF_THICKNESS, facing=wall.outward, fineness=0.6,
+        rib_line(number),
+        wall.RIB_HALF_HEIGHT * taper,
+        wall.RIB_HALF_THICKNESS,
+        facing=wall.outward,
+        fineness=0.6,
         stretch=3.6,
     )
 
@@ -171,10 +166,16 @@ def vertebra(level: int) -> Surface:
     y = float(wall.spine_y(np.array(z)))
     points = np.array([[0, y + at, z] for at in (-6.0 * scale[1], 10.0, 24.0, 36.0)])
     width = np.array([8, 12.5, 14, 14, 12, 8.5, 6, 5, 4.5, 4, 3.5, 3.5]) * scale[0]
-    height = np.array([5.5, 7.6, VERTEBRA_HALF_HEIGHT, VERTEBRA_HALF_HEIGHT, 7.2, 5.8, 5, 4.5, 4.2, 4, 3.5, 3.5]) * scale[2]
+    top = VERTEBRA_HALF_HEIGHT
+    height = np.array([5.5, 7.6, top, top, 7.2, 5.8, 5, 4.5, 4.2, 4, 3.5, 3.5]) * scale[2]
     return tube(
-        points, width, height, facing=lambda p: np.tile([0.0, 0.0, 1.0], (len(p), 1)), exponent=2.5,
-        coarsest=12.0, fineness=0.65,
+        points,
+        width,
+        height,
+        facing=lambda p: np.tile([0.0, 0.0, 1.0], (len(p), 1)),
+        exponent=2.5,
+        coarsest=12.0,
+        fineness=0.65,
     )
 
 
@@ -185,27 +186,36 @@ def clavicle() -> Surface:
 
 
 def diaphragm() -> Surface:
-    """Dome between chest and belly, with a notch behind for aorta, oesophagus and vena cava."""
-    within = wall.inside_wall(9.0)
+    """Dome between chest and belly, cut back behind for aorta, oesophagus and vena cava."""
 
-    def field(p: Array) -> Array:
+    def on_dome(p: Array) -> Array:
         x, y = DIAPHRAGM_SQUEEZE * p[..., 0], p[..., 1]
-        p = np.stack([x, y, wall.dome(x, y)], axis=-1)
-        notch = y - np.hypot(0.15 * x, 20.0)
-        f = np.stack([within(p), notch])
-        top = f.max(axis=0)
-        result: Array = top + 20.0 * np.log(np.exp((f - top) / 20.0).sum(axis=0))
+        return np.stack([x, y, wall.dome(x, y)], axis=-1)
+
+    def in_front_of_vessels(p: Array) -> Array:
+        x, y, _ = np.moveaxis(on_dome(p), -1, 0)
+        result: Array = y - np.hypot(0.15 * x, 20.0)
         return result
 
+    within = wall.inside_wall(9.0)
+    field = smooth_intersection(lambda p: within(on_dome(p)), in_front_of_vessels, blend=20.0)
     centre = np.array([0.0, -42.0, 0.0])
     angles = np.linspace(0, 2 * np.pi, 1441)
-    from vhp_cli.phantom.shapes import _first_outside
+    rays = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
+    radii = first_outside(centre, rays, field, 200.0)
 
-    ray = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
-    radii = _first_outside(centre, ray, field, 200.0)
+    def outline(theta: Array) -> Array:
+        return np.interp(theta % (2 * np.pi), angles, radii)
+
     return plate(
-        lambda theta: np.interp(theta % (2 * np.pi), angles, radii),
-        centre[:2], DIAPHRAGM_HALF_THICKNESS, wall.dome, squeeze=DIAPHRAGM_SQUEEZE, coarsest=17.0, fineness=1.1, around=72,
+        outline,
+        centre[:2],
+        DIAPHRAGM_HALF_THICKNESS,
+        wall.dome,
+        squeeze=DIAPHRAGM_SQUEEZE,
+        coarsest=17.0,
+        fineness=1.1,
+        around=72,
     )
 
 
@@ -219,13 +229,13 @@ def liver() -> Surface:
     field = smooth_intersection(
         wall.inside_wall(9.0),
         wall.below_dome(DIAPHRAGM_HALF_THICKNESS + 4.5),
-        wall.in_ellipsoid(np.array([-58.0, -12.0, -32.0]), np.diag([105.0, 95.0, 76.0])),
+        wall.in_ellipsoid(np.array([-58.0, -12.0, -32.0]), np.diag([112.0, 102.0, 84.0])),
         wall.half_space((1, 0, 0), (24.0, 0, 0)),
         wall.half_space((0.537, 0.844, 0), (-16.0, 10.0, 0)),
         wall.half_space((0, 0.92, -0.39), (0, 4.0, -97.0)),
-        blend=8.0,
+        blend=11.0,
     )
-    return carved(np.array([-65.0, -14.0, -28.0]), np.array([75.0, 65.0, 50.0]), field, coarsest=20.0)
+    return carved(np.array([-66.0, -10.0, -46.0]), np.array([75.0, 65.0, 50.0]), field, coarsest=20.0)
 
 
 def stomach() -> Surface:
@@ -273,9 +283,7 @@ def erector_spinae() -> Surface:
     z = np.linspace(200.0, -165.0, 10)
     line = np.stack([np.full_like(z, 27.0), wall.spine_y(z) + 28.0, z], axis=1)
     scale = np.array([0.5, 0.75, 0.9, 1, 1, 1, 1, 1, 0.9, 0.7])
-    return tube(
-        line, 12.5 * scale, 10.0 * scale, facing=lambda p: np.tile([0.0, 1.0, 0.0], (len(p), 1)), coarsest=20.0
-    )
+    return tube(line, 12.5 * scale, 10.0 * scale, facing=lambda p: np.tile([0.0, 1.0, 0.0], (len(p), 1)), coarsest=20.0)
 
 
 def _beside_spine(z: Array, x: float, before: float) -> Array:
@@ -315,10 +323,12 @@ def phrenic_nerve(side: int) -> Surface:
     scale = 1 + 4.5 / np.linalg.norm(HEART_AXES, axis=1)
     grown = wall.in_ellipsoid(HEART_CENTRE, HEART_AXES * scale[:, None])
     steps = np.arange(33.0 if side > 0 else 38.5, 90.0, 0.25)
-    x = np.array([
-        steps[np.flatnonzero(grown(np.stack([side * steps, 0 * steps + b, 0 * steps + a], axis=1)) > 0)[0]]
-        for a, b in zip(z, y, strict=True)
-    ])
+    x = np.array(
+        [
+            steps[np.flatnonzero(grown(np.stack([side * steps, 0 * steps + b, 0 * steps + a], axis=1)) > 0)[0]]
+            for a, b in zip(z, y, strict=True)
+        ]
+    )
     keep = z > wall.dome(x, y) + 10.0
     return tube(np.stack([side * x, y, z], axis=1)[keep], 1.0, fineness=0.5)
 

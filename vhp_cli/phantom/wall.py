@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from vhp_cli.phantom.shapes import Array, Field, monotone_curve
+from vhp_cli.phantom.curves import Array, monotone_curve
+from vhp_cli.phantom.shapes import Field
 
 # Half width, half depth and middle (y) of the wall at the height z. Below the ribs it is the abdominal wall.
 _Z = np.array([-190.0, -100.0, -40.0, 10.0, 60.0, 110.0, 155.0, 190.0, 210.0, 226.0])
@@ -19,7 +20,7 @@ spine_y = monotone_curve(
     np.array([-190.0, -105.0, -20.0, 90.0, 178.0, 222.0]), np.array([56.0, 52.0, 60.0, 66.0, 55.0, 42.0])
 )
 
-LEVELS = tuple(f"t{i:02d}" for i in range(1, 13)) + ("l1", "l2", "l3")
+LEVELS = (*(f"t{i:02d}" for i in range(1, 13)), "l1", "l2", "l3")
 LEVEL_Z = np.concatenate([222.0 - 22.0 * np.arange(12), -20.0 - 27.0 * np.arange(1, 4)])
 
 # Per rib 1..12: how far the front end lies below the head, and its angle around the wall from the back.

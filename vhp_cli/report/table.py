@@ -51,10 +51,12 @@ def print_table(report: Report, console: Console, *, verbose: bool = False, nest
 
 def _print_words(console: Console, words: str, style: str = "", *, indent: int = 0) -> None:
     """Print words as they are (no markup), continuation lines indented with the first."""
-    from rich.padding import Padding
     from rich.text import Text
 
-    console.print(Padding(Text(words, style=style, overflow="fold"), (0, 0, 0, indent), expand=False))
+    lines = Text(words, style=style).wrap(console, max(console.width - indent, 1), overflow="fold")
+    for line in lines:
+        line.rstrip()
+        console.print(Text(" " * indent).append_text(line), soft_wrap=True)
 
 
 def _columns(console: Console) -> Table:
@@ -124,7 +126,7 @@ def _print_finding(finding: Finding, console: Console, *, verbose: bool) -> None
     words = f"{text.headline(finding)}{' (known)' if finding.get('known') else ''}"
     places = finding["places"]
     if places and not verbose:
-        words += f", at {text.place(places[0])}"
+        words += f", at {text.place(places[0], value=False)}"
     _print_words(console, words, "dim" if finding.get("known") else "", indent=2)
     if verbose:
         for spot in places:

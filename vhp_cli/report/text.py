@@ -58,15 +58,15 @@ def _coordinate(value: float) -> str:
     return f"{round(value, 3) + 0.0:.3f}" if abs(value) < 1e7 else f"{value:.6g}"
 
 
-def place(spot: Place) -> str:
-    """Return a place as ``(12.300, 4.500, -7.800) mm, face 123``; with the measured value if there is one."""
+def place(spot: Place, *, value: bool = True) -> str:
+    """Return a place as ``(12.300, 4.500, -7.800) mm, face 123, value 0.0123``."""
     words = f"({', '.join(map(_coordinate, spot['xyz_mm']))}) mm"
     if spot["face"] is not None:
         words += f", face {spot['face']}"
     if "tissue" in spot:
         words += f" of {visible(spot['tissue'])}"
-    if "value" in spot:
-        words += f": {number(spot['value'])}"
+    if value and "value" in spot:
+        words += f", value {number(spot['value'])}"
     return words
 
 
