@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -111,7 +112,8 @@ class Settings:
             "profile": self.profile,
             "units": self.units,
             "weld_tolerance_mm": self.weld_tolerance_mm,
-            "gap_search_mm": self.gap_search_mm,
+            # JSON has no infinity.
+            "gap_search_mm": "inf" if self.gap_search_mm == math.inf else self.gap_search_mm,
             "recursive": self.recursive,
             "rules": {
                 code: {"level": setting.level or "off", **({} if setting.limit is None else {"limit": setting.limit})}

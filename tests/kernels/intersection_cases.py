@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from shapes import box, flipped, joined, sphere
+from shapes import box, flipped, joined, moved, sphere
 
 from vhp_cli.kernels.spatial import KIND_COPLANAR, KIND_CROSSING, KIND_DUPLICATE, KIND_FOLD, KIND_TOUCH
 from vhp_cli.mesh import Mesh
@@ -158,8 +158,8 @@ def pair_cases():
     return {
         "nested spheres": (ball, sphere(5), None, "b"),
         "spheres overlap by 2^-20": (ball, sphere(10, (20 - TINY, 0, 0)), 0, 0),
-        "spheres apart by 2^-20": (ball, Mesh(ball.vertices + (20 + TINY, 0, 0), ball.faces), TINY, 0),
-        "spheres touch in a vertex": (ball, Mesh(ball.vertices + (20, 0, 0), ball.faces), 0, 0),
+        "spheres apart by 2^-20": (ball, moved(ball, (20 + TINY, 0, 0)), TINY, 0),
+        "spheres touch in a vertex": (ball, moved(ball, (20, 0, 0)), 0, 0),
         "same sphere twice": (ball, ball, 0, "a"),
         "boxes share a face": (grid_box((0, 0, 0), (10, 10, 10), 4), grid_box((10, 0, 0), (20, 10, 10), 4), 0, 0),
         "boxes share part of a face": (grid_box((0, 0, 0), (10, 10, 10), 4), grid_box((10, 1, 1), (20, 9, 9), 3), 0, 0),
@@ -170,7 +170,7 @@ def pair_cases():
         "ball in a cavity": (shell, sphere(3), None, 0),
         "nested, thin wall": (sphere(20, subdivisions=3), sphere(19, subdivisions=3), None, "b"),
         "deep overlap": (ball, sphere(10, (8, 3, 1)), 0, None),
-        "far apart": (ball, Mesh(ball.vertices + (50, 0, 0), ball.faces), 30, 0),
+        "far apart": (ball, moved(ball, (50, 0, 0)), 30, 0),
         "boxes overlap on one grid": (grid_box((0, 0, 0), (4, 4, 4), 4), grid_box((1, 1, 1), (5, 5, 5), 4), 0, 27),
         "ball before an open hemisphere": (open_hemisphere(10), sphere(4, (0, 0, 3)), None, float("nan")),
     }

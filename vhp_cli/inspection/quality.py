@@ -46,13 +46,11 @@ def shape_defects(
     low = low[~np.isin(low, degenerate)]
     if len(low):
         worst = low[np.argsort(quality.q[low], kind="stable")[:MAX_PLACES]]
-        needles = int(np.count_nonzero([_is_needle(mesh.vertices[mesh.faces[face]]) for face in worst]))
         defects["Q001"] = {
             "count": len(low),
             "places": at_faces(mesh, worst, quality.q[worst]),
             "value": float(quality.q[worst[0]]),
-            "detail": f"of the worst {len(worst)} {needles} are needles (one short edge), "
-            f"{len(worst) - needles} caps (one angle near 180 degrees)",
+            "detail": _shapes([_is_needle(mesh.vertices[mesh.faces[face]]) for face in worst]),
         }
     if topology.edge_length_min < min_edge_mm:
         defects["Q002"] = _short_edges(mesh, min_edge_mm)
@@ -76,6 +74,15 @@ def fold_measures(mesh: Mesh, topology: surface.Topology, limit_deg: float) -> t
     for place, angle in zip(places, angles[worst], strict=True):
         place["value"] = float(angle)
     return smallest, {"count": len(sharp), "places": places, "value": float(angles[worst[0]])}
+
+
+def _shapes(needles: list[bool]) -> str:
+    """Say what the worst triangles look like: needles have one short edge, caps one angle near 180 degrees."""
+    number = sum(needles)
+    if number in (0, len(needles)):
+        shape = "needle" if number else "cap"
+        return f"a {shape}" if len(needles) == 1 else f"the worst are {shape}s"
+    return f"{number} needles and {len(needles) - number} caps among the worst {len(needles)}"
 
 
 def _is_needle(triangle: NDArray[np.float64]) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from vhp_cli.kernels.spatial import Tree, gap
 from vhp_cli.mesh import Mesh
 from vhp_cli.phantom.pair_defects import PAIR_PLANTS, PairPlant
-from vhp_cli.phantom.sites import Array, Planted, Site
+from vhp_cli.phantom.sites import MAX_EDGE, Array, Planted, Site
 from vhp_cli.phantom.tissue_defects import PLANTS
 
 IDENTICAL = "P004"
@@ -19,8 +19,6 @@ RULES = (*PLANTS, *PAIR_PLANTS, IDENTICAL)
 CLEARANCE = 1.02
 # Farthest that a part of one tissue is moved to another one, in mm.
 REACH = 9.0
-# Longest edge of a face at which a defect is planted, so that "at this face" is one place.
-MAX_EDGE = 9.0
 TRIALS = 6
 
 

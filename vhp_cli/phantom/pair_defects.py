@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from vhp_cli.mesh import Mesh
-from vhp_cli.phantom.sites import Array, Numbers, Site, depth_below, faces_at, normal_at, stored
+from vhp_cli.phantom.sites import MAX_EDGE, Array, Numbers, Site, depth_below, faces_at, longest_edge, normal_at, stored
 
 PairPlant = Callable[[Mesh, Mesh, int, int], Site | None]  # a, b, a face of each that are near
 
@@ -85,6 +85,8 @@ def crossing(a: Mesh, b: Mesh, face_a: int, face_b: int) -> Site | None:
 
 def coincident_face(a: Mesh, b: Mesh, face_a: int, face_b: int) -> Site | None:
     """P003: move a face of the first tissue exactly onto a face of the second."""
+    if longest_edge(b, face_b)[1] > MAX_EDGE:
+        return None
     theirs, ours = b.faces[face_b], a.faces[face_a]
     origin, up = b.vertices[theirs[0]], normal_at(b, np.array([face_b]))
     turns = [np.roll(theirs[::-1], k) for k in range(3)]

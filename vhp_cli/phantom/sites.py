@@ -13,6 +13,9 @@ from vhp_cli.mesh import Mesh
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
+# Longest edge in mm of a face at which a defect is planted, so that "at this face" is one place.
+MAX_EDGE = 9.0
+
 
 @dataclass(frozen=True, slots=True)
 class Planted:
