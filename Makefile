@@ -37,12 +37,13 @@ $(VENV)/.dev: $(VENV)/.test
 demo: $(VENV)/.package ## make two small models, one sound and one with defects, and check both
 	@rm -rf $(DEMO)
 	$(BIN)/vhp phantom $(DEMO)/phantom
-	$(BIN)/vhp check $(DEMO)/phantom
+	$(BIN)/vhp check $(DEMO)/phantom --report $(DEMO)/phantom.json
 	$(BIN)/vhp phantom $(DEMO)/broken --defects 7
-	@echo '$(BIN)/vhp check $(DEMO)/broken'
-	@$(BIN)/vhp check $(DEMO)/broken; code=$$?; \
+	@echo '$(BIN)/vhp check $(DEMO)/broken --report $(DEMO)/broken.json --report $(DEMO)/broken.md'
+	@$(BIN)/vhp check $(DEMO)/broken --report $(DEMO)/broken.json --report $(DEMO)/broken.md; code=$$?; \
 	  test $$code -eq 1 || { echo "demo: the broken model must end with exit code 1, not $$code" >&2; exit 1; }
-	@echo 'The broken model was refused with exit code 1, as it must be.'
+	@echo 'The sound model passed; the broken one was refused with exit code 1, as it must be.'
+	@echo 'Reports: $(DEMO)/phantom.json $(DEMO)/broken.json $(DEMO)/broken.md; defects planted: $(DEMO)/broken/planted.json'
 
 test: $(VENV)/.test system-libraries ## run every test
 	$(BIN)/python -m pytest --slow $(PYTEST_ARGS)

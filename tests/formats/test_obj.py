@@ -51,7 +51,7 @@ def triangles(mesh):
                      id="other statements"),
         pytest.param("o liver\n" + SQUARE + "g a\nf 1 2 3\ng b\nf 1 3 4\n", id="groups"),
         pytest.param("\n\t \n" + SQUARE.replace(" ", "\t  ") + "\n\nf\t1 2 3  \n  f 1 3 4", id="white space"),
-        pytest.param(SQUARE.replace("1", "1.0e0").replace("0 ", "-0.0 ") + "f +1 2 3\nf 1 3 4", id="numbers"),
+        pytest.param(SQUARE.replace("0", "-0.0").replace("1", "+1.E0") + "f +1 2 3\nf 1 3 4", id="numbers"),
     ],
 )  # fmt: skip
 def test_notations(tmp_path, text):
@@ -117,6 +117,11 @@ def test_unknown_statements(tmp_path):
     assert rules(reading) == ["F009"]
     assert reading.issues[0].count == 2
     assert "line 6" in reading.issues[0].detail
+
+
+def test_stretches_never_written_are_an_error(tmp_path):
+    reading = parse(SQUARE + "f 1 2 3\n" + "\0" * 24 + "\nf 1 3 4\n", tmp_path)
+    assert rules(reading) == ["F002", "F009"]
 
 
 def test_unused_and_repeated_vertices(tmp_path):

@@ -287,8 +287,9 @@ def test_huge_lists(tmp_path):
 
 
 def test_points_only_and_nothing(tmp_path):
-    text = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n"
-    reading = parse(text, tmp_path)
+    axes = "".join(f"property float {axis}\n" for axis in "xyz")
+    text = f"ply\nformat ascii 1.0\nelement vertex 1\n{axes}end_header\n1 2 3\n"
+    reading = parse(text.encode(), tmp_path)
     assert (len(reading.mesh.faces), reading.unreferenced, reading.issues) == (0, 1, ())
     assert len(parse(b"", tmp_path).mesh.faces) == 0
     assert len(parse(make("ascii", faces=[]), tmp_path).mesh.faces) == 0

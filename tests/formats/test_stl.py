@@ -381,6 +381,15 @@ def test_text_whose_size_happens_to_fit(tmp_path):
     assert same_surface(reading)
 
 
+def test_stretches_never_written_are_an_error(tmp_path):
+    text = ascii_stl()
+    begin, end = (len(text[: text.index("  facet", 300 * k)]) for k in (9, 15))
+    reading = parse(text[:begin] + "\0" * (end - begin) + text[end:], tmp_path)
+    assert rules(reading) == ["F002", "F009"]
+    assert issue(reading, "F002").count == end - begin
+    assert f"byte {begin}" in issue(reading, "F002").detail
+
+
 def test_weld_tolerance(tmp_path):
     mesh = joined(box(), moved(box(), (10.001, 0, 0)))
     for data in (stl_bytes(mesh), ascii_stl(mesh)):

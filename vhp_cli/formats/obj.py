@@ -11,6 +11,7 @@ from vhp_cli.formats.reading import (
     IndexedFaces,
     Reading,
     clean_faces,
+    damage,
     line_number,
     plural,
 )
@@ -62,7 +63,7 @@ def parse_obj(path: Path, data: bytes, *, weld_tolerance: float = 0.0) -> Readin
             path, "no face can be read", where=stored.bad_place, hint='faces are lines "f i j k" of vertex numbers'
         )
     clean = clean_faces(stored, weld_tolerance)
-    issues = list(clean.issues)
+    issues = [*damage(data, len(data)), *clean.issues]
     if text.n_loose:
         detail = f"{plural(text.n_loose, 'statement')} that OBJ does not know, first at {line(text.first_loose)}"
         issues.append(FileIssue("F009", text.n_loose, detail))

@@ -103,6 +103,15 @@ def is_text(sample: bytes) -> bool:
     return bool(plain.sum() > 0.7 * len(codes) and control.sum() <= 0.03 * len(codes))
 
 
+def damage(data: bytes, end: int) -> list[FileIssue]:
+    """Report NUL bytes among the first `end` of a text: a stretch that was never written may hide faces."""
+    count = data.count(b"\0", 0, end)
+    if not count:
+        return []
+    where = f"from byte {data.find(bytes(1))}"
+    return [FileIssue("F002", count, f"{plural(count, 'NUL byte')} in the text, {where}: a part is lost")]
+
+
 def plural(count: int, noun: str) -> str:
     """Return the count with its noun: ``1 facet``, ``2 facets``."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

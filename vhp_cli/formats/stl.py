@@ -18,6 +18,7 @@ from vhp_cli.formats.reading import (
     FileIssue,
     Format,
     Reading,
+    damage,
     empty_mesh,
     is_text,
     line_number,
@@ -189,7 +190,7 @@ def _parse_ascii(path: Path, data: bytes, weld_tolerance: float) -> Reading:
             where=f"line {line(text.first_bad)}",
             hint="write numbers with a decimal point" if text.has_decimal_comma else "export the surface again",
         )
-    issues = []
+    issues = damage(data, text.trailing + skipped if text.trailing >= 0 else len(data))
     if text.open_at_end == "facet":
         issues.append(FileIssue("F002", 1, f"the file ends in facet {n}, begun at line {line(text.last_start)}", n))
     elif text.open_at_end == "solid":

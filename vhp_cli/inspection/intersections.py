@@ -16,7 +16,7 @@ from vhp_cli.kernels.spatial import (
     Hits,
     Tree,
 )
-from vhp_cli.measures import Defects, Place, SelfIntersections
+from vhp_cli.measures import Defects, Place, Point, SelfIntersections
 from vhp_cli.mesh import Mesh
 
 # Duplicate faces are counted among the pairs but have a topology rule of their own.
@@ -52,7 +52,13 @@ def _places(mesh: Mesh, pairs: Iterable[np.ndarray]) -> list[Place]:
     ]
 
 
-def worst_contact(a: Mesh, b: Mesh, hits: Hits) -> tuple[list[float], list[int]]:
-    """Return a point of contact of two meshes and the two faces (of a, of b) that meet there."""
-    first, second = (int(face) for face in hits.pairs[0])
+def middle_contact(a: Mesh, b: Mesh, hits: Hits) -> tuple[Point, list[int]]:
+    """Return a point of contact of two meshes and the two faces (of a, of b) that meet there.
+
+    Among the contacts of the worst kind the one in the middle, which is most likely to show what is wrong.
+    """
+    pairs = hits.pairs[hits.kinds == hits.kinds[0]]
+    centres = (a.vertices[a.faces[pairs[:, 0]]] + b.vertices[b.faces[pairs[:, 1]]]).mean(axis=1)
+    middle = np.linalg.norm(centres - centres.mean(axis=0), axis=1).argmin()
+    first, second = (int(face) for face in pairs[middle])
     return contact_point(a.vertices[a.faces[first]], b.vertices[b.faces[second]]), [first, second]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from vhp_cli.inspection.intersections import worst_contact
+from vhp_cli.inspection.intersections import middle_contact
 from vhp_cli.inspection.places import point
 from vhp_cli.inspection.tissue import Surface
 from vhp_cli.kernels.spatial import KIND_CROSSING, gap, overlap_volume, pair_hits
@@ -79,7 +79,7 @@ def inspect_pair(a: Surface, b: Surface, gap_search_mm: float) -> PairMeasures |
 
 def _contact(a: Surface, b: Surface, record: PairMeasures) -> PairMeasures:
     hits = pair_hits(a.tree, b.tree)
-    where, faces = worst_contact(a.mesh, b.mesh, hits)
+    where, faces = middle_contact(a.mesh, b.mesh, hits)
     record["min_gap_mm"] = 0.0
     record["points_mm"] = [where, where]
     record["faces"] = faces

@@ -6,12 +6,13 @@ import ctypes
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from vhp_cli.errors import KernelError
-from vhp_cli.kernels.build import LIBRARY
+from vhp_cli.kernels.build import LIBRARY, fingerprint
+
+if TYPE_CHECKING:
+    import numpy as np
 
 pointer = ctypes.c_void_p
 i32 = ctypes.c_int32
@@ -20,14 +21,32 @@ f64 = ctypes.c_double
 
 
 def _load() -> ctypes.CDLL:
+    """Load the library, ``$VHP_KERNELS`` if set; in a source checkout only if it was built from these sources."""
     path = Path(os.environ.get("VHP_KERNELS", LIBRARY))
     try:
-        return ctypes.CDLL(str(path))
+        library = ctypes.CDLL(str(path))
     except OSError as error:
         raise KernelError(
             f"the compiled kernels can't be loaded: {error}",
-            hint="reinstall the package, or run `python -m vhp_cli.kernels.build` in a source checkout",
+            hint="reinstall the package, or run `make kernels` in a source checkout",
         ) from error
+    expected = fingerprint()
+    if expected and _sources_of(library) != expected:
+        raise KernelError(
+            f"the compiled kernels are older than their C sources: {path}",
+            hint="run `make kernels`, or without a C compiler `pip install -e .`",
+        )
+    return library
+
+
+def _sources_of(library: ctypes.CDLL) -> str:
+    try:
+        found = library.vhp_sources
+    except AttributeError:
+        return ""
+    found.restype = ctypes.c_char_p
+    found.argtypes = []
+    return bytes(found()).decode()
 
 
 _kernels = _load()

@@ -1,4 +1,4 @@
-/* Volume that two closed outward surfaces A and B have in common, without building their intersection.
+/* Volume that two closed oriented surfaces A and B have in common, without building their intersection.
  *
  * By the divergence theorem the volume is the sum over all faces f of A and B of p . S / 3, with p any
  * point of the face's plane and S the vector area of the part of f inside the other solid; and S is
@@ -14,7 +14,6 @@
  * plane of a face, which changes no volume to first order. */
 #include <math.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "tree.h"
 #include "vhp.h"
@@ -32,6 +31,7 @@ enum { DONE = 0, DEGENERATE = 1 }; /* besides VHP_OUT_OF_MEMORY */
 /* One of the two surfaces. */
 typedef struct {
     const Tree *tree;
+    int sense;        /* winding number within: 1 if oriented outward, -1 inward */
     int32_t *entries; /* (n_faces, 3) times edge k -> k + 1 enters the other solid, less times it leaves */
     int32_t *parent;  /* per vertex: union-find over the edges */
     int32_t *level;   /* per vertex: winding number of the other surface, relative to the parent */
@@ -239,24 +239,22 @@ static int in_box(const float *box, const double *point)
            box[2] <= point[2] && point[2] <= box[5];
 }
 
-int vhp_point_place(const Tree *tree, const double *point);
-
 /* Turn levels into winding numbers of the other surface: 0 for a vertex outside its box, and by a
  * ray for a part of this surface that lies wholly within the box. Uses `known` (n_vertices, 0). */
-static int settle_levels(Side *side, const Tree *other, uint8_t *known)
+static int settle_levels(Side *side, const Side *other, uint8_t *known)
 {
     const Tree *tree = side->tree;
     for (int ask = 0; ask < 2; ask++)
         for (int32_t v = 0; v < tree->n_vertices; v++) {
             const int32_t root = find_root(side, v);
             const double *point = tree->vertices + 3 * (int64_t)v;
-            if (known[root] || (!ask && in_box(other->boxes, point)))
+            if (known[root] || (!ask && in_box(other->tree->boxes, point)))
                 continue;
-            const int place = ask ? vhp_point_place(other, point) : 0;
+            const int place = ask ? vhp_point_place(other->tree, point) : 0;
             if (place < 0)
                 return DEGENERATE;
             /* The root keeps its own winding number as its level: see level_of. */
-            const int32_t of_root = place - (v == root ? 0 : side->level[v]);
+            const int32_t of_root = place * other->sense - (v == root ? 0 : side->level[v]);
             side->level[root] = of_root;
             known[root] = 1;
         }
@@ -284,7 +282,7 @@ static int add_inner_vertices(Overlap *o, int which)
     uint8_t *known = calloc((size_t)tree->n_vertices + 1, 1);
     if (!known)
         return VHP_OUT_OF_MEMORY;
-    const int status = settle_levels(side, o->sides[!which].tree, known);
+    const int status = settle_levels(side, &o->sides[!which], known);
     free(known);
     if (status != DONE)
         return status;
@@ -296,9 +294,9 @@ static int add_inner_vertices(Overlap *o, int which)
     return DONE;
 }
 
-static int common_volume(const Tree *a, const Tree *b, double *volume)
+static int common_volume(const Tree *a, int sense_a, const Tree *b, int sense_b, double *volume)
 {
-    Overlap o = {.sides = {{.tree = a}, {.tree = b}}};
+    Overlap o = {.sides = {{.tree = a, .sense = sense_a}, {.tree = b, .sense = sense_b}}};
     int status = DONE;
     for (int d = 0; d < 3; d++) {
         const double low = a->boxes[d] > b->boxes[d] ? a->boxes[d] : b->boxes[d];
@@ -324,11 +322,13 @@ static int common_volume(const Tree *a, const Tree *b, double *volume)
         free(o.sides[k].parent);
         free(o.sides[k].level);
     }
-    *volume = o.six_volumes / 6;
+    /* So far the integral of the product of the two winding numbers. */
+    *volume = o.six_volumes / 6 * sense_a * sense_b;
     return status;
 }
 
-static int common_volume_moved(const Tree *a, const Tree *b, const double *move, double *volume)
+static int common_volume_moved(const Tree *a, int sense_a, const Tree *b, int sense_b, const double *move,
+                               double *volume)
 {
     int status = VHP_OUT_OF_MEMORY;
     const size_t n_boxes = 6 * (2 * (size_t)b->n_leaves);
@@ -343,7 +343,7 @@ static int common_volume_moved(const Tree *a, const Tree *b, const double *move,
         moved.face_boxes = face_boxes;
         moved.boxes = boxes;
         vhp_fit_boxes(&moved, face_boxes, boxes);
-        status = common_volume(a, &moved, volume);
+        status = common_volume(a, sense_a, &moved, sense_b, volume);
     }
     free(vertices);
     free(face_boxes);
@@ -351,44 +351,16 @@ static int common_volume_moved(const Tree *a, const Tree *b, const double *move,
     return status;
 }
 
-static uint64_t scramble(uint64_t x)
-{
-    x = (x ^ (x >> 31)) * 0x7fb5d329728ea185ULL;
-    x = (x ^ (x >> 27)) * 0x81dadef4bc2dd44dULL;
-    return x ^ (x >> 33);
-}
-
-/* Volume inside a surface of which every edge is used as often in one direction as in the other, 0 if it
- * is open. The edges are compared by the sum of their 64-bit hashes. */
-static double enclosed_volume(const Tree *tree)
-{
-    const double *origin = tree->vertices;
-    uint64_t sum = 0;
-    double six_volumes = 0;
-    for (int64_t f = 0; f < tree->n_faces; f++) {
-        double v[3][3];
-        for (int k = 0; k < 3; k++) {
-            const uint32_t from = (uint32_t)tree->faces[3 * f + k], to = (uint32_t)tree->faces[3 * f + (k + 1) % 3];
-            subtract(corner(tree, f, k), origin, v[k]);
-            if (from < to)
-                sum += scramble((uint64_t)from << 32 | to);
-            else if (from > to)
-                sum -= scramble((uint64_t)to << 32 | from);
-        }
-        six_volumes += triple(v[0], v[1], v[2]);
-    }
-    return sum == 0 ? six_volumes / 6 : 0;
-}
-
-/* volume: of the common interior; nan if one surface is open or not oriented outward.
+/* volume: of the common interior; nan if one surface is open or encloses nothing. What one of them
+ * encloses several times counts as often.
  * Returns 0, or -1 if memory runs out. */
 VHP_EXPORT int vhp_overlap_volume(const Tree *a, const Tree *b, double *volume)
 {
     *volume = NAN;
     if (!a->n_regular || !b->n_regular)
         return 0;
-    const double volume_a = enclosed_volume(a), volume_b = enclosed_volume(b);
-    if (!(volume_a > 0 && volume_b > 0))
+    const double volume_a = vhp_enclosed_volume(a), volume_b = vhp_enclosed_volume(b);
+    if (!(volume_a != 0 && volume_b != 0))
         return 0;
     *volume = 0;
     if (!boxes_overlap(a->boxes, b->boxes))
@@ -402,13 +374,14 @@ VHP_EXPORT int vhp_overlap_volume(const Tree *a, const Tree *b, double *volume)
         double move[3];
         for (int d = 0; d < 3; d++)
             move[d] = moves[try][d] * MOVE * size;
-        const int status = common_volume_moved(a, b, move, volume);
+        const int status = common_volume_moved(a, volume_a > 0 ? 1 : -1, b, volume_b > 0 ? 1 : -1, move, volume);
         if (status == VHP_OUT_OF_MEMORY)
             return status;
         if (status == DONE) {
-            const double rounding = 1e-6 * (volume_a < volume_b ? volume_a : volume_b);
+            /* Below 0 by rounding, or where a fold of one surface, inside out, lies in the other. */
+            const double fold = 1e-4 * (fabs(volume_a) < fabs(volume_b) ? fabs(volume_a) : fabs(volume_b));
             if (*volume < 0)
-                *volume = *volume > -rounding ? 0 : NAN;
+                *volume = *volume > -fold ? 0 : NAN;
             return 0;
         }
     }

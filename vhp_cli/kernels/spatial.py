@@ -342,15 +342,22 @@ def gap(a: Tree, b: Tree, limit: float = np.inf) -> Gap | None:
 
 
 def overlap_volume(a: Tree, b: Tree) -> float:
-    """Compute the volume that two closed outward oriented surfaces have in common.
+    """Compute the volume that two closed, consistently oriented surfaces have in common.
 
-    The second mesh is moved by about 1e-10 of its size, which rids it of all degenerate contacts and
-    adds an error of that thickness over the area in contact.
+    By the divergence theorem, from the parts of each face inside the other surface (see overlap.c). The
+    second mesh is moved by 1e-11 of the largest coordinate, which rids it of all degenerate contacts
+    and adds an error of that thickness over the area in contact. What a self-intersecting surface
+    encloses twice counts twice.
+
+    Parameters
+    ----------
+    a, b
+        The two meshes, each oriented outward or inward as a whole.
 
     Returns
     -------
     float
-        In mm3; nan if it can't be told, as for a surface that is open or not oriented outward.
+        In mm3; nan if it can't be told, as for a surface that is open or not oriented consistently.
     """
     volume = np.zeros(1)
     check_allocation(_overlap_volume(a._view, b._view, address(volume)))

@@ -127,6 +127,14 @@ static inline void for_each_box_pair(const Tree *a, const Tree *b, void (*visit)
     }
 }
 
+/* 1 if the point is inside the closed surface, 0 outside, -1 on it (inside.c). */
+int vhp_point_place(const Tree *tree, const double *point);
+
+/* Volume inside a surface of which every edge is used as often in one direction as in the other (below 0
+ * if it is oriented inward), 0 if it is open; the edges are compared by the sum of their 64-bit hashes
+ * (enclosed.c). */
+double vhp_enclosed_volume(const Tree *tree);
+
 /* Fill face_boxes and boxes from the vertices and faces. */
 void vhp_fit_boxes(const Tree *tree, float *face_boxes, float *boxes);
 

@@ -72,7 +72,7 @@ def crossing(a: Mesh, b: Mesh, face_a: int, face_b: int) -> Site | None:
     """P001: move a vertex of the first tissue below a face of the second."""
     around = np.array([face_b])
     up, middle = normal_at(b, around), b.vertices[b.faces[face_b]].mean(axis=0)
-    deep = min(0.5, 0.3 * depth_below(b, middle, -up, around))
+    deep = min(0.2, 0.3 * depth_below(b, middle, -up, around))
     target = stored(middle - deep * up)
     order = np.argsort(np.linalg.norm(a.vertices[a.faces[face_a]] - middle, axis=1))
     for v in a.faces[face_a][order]:
