@@ -170,7 +170,7 @@ decimal_text = st.one_of(
 @example("4.9e-324")
 @example("1e-400")
 @example("0e99999999999")
-@settings(max_examples=1500, deadline=None)
+@settings(max_examples=800, deadline=None)
 def test_doubles_are_correctly_rounded(text):
     assert struct.pack("d", parse_one(text)) == struct.pack("d", float(text))
 
@@ -184,7 +184,7 @@ def test_doubles_are_correctly_rounded(text):
 @example("1.1754943e-38")
 @example("3.4028235677973366e38")
 @example("3.4028235677973365e38")
-@settings(max_examples=1500, deadline=None)
+@settings(max_examples=800, deadline=None)
 def test_floats_are_correctly_rounded(text):
     assert parse_one(text, np.float32) == nearest_float32(text)
 

@@ -164,7 +164,7 @@ def check_against_reference(faces, n_vertices):
         )
     )
 )
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=250, deadline=None)
 def test_random_soup(case):
     check_against_reference(*case)
 

@@ -7,6 +7,7 @@ from itertools import product
 
 import fcl
 import numpy as np
+
 from vhp_cli.formats.stl import stl_bytes
 from vhp_cli.mesh import Mesh
 

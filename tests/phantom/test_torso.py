@@ -10,6 +10,7 @@ import pytest
 from exact import Distances, components, directed_edges, is_closed_and_oriented, quality, shortest_edge, volume, winding
 from hypothesis import given
 from hypothesis import strategies as st
+
 from vhp_cli.errors import UsageError
 from vhp_cli.phantom import generate
 from vhp_cli.phantom.curves import monotone_curve, smooth_path
@@ -55,9 +56,7 @@ def check_shapes(tissues):
 def check_gaps(tissues):
     distances = Distances(tissues)
     close = {
-        (a, b): distances.gap(a, b)
-        for a, b in itertools.combinations(tissues, 2)
-        if distances.near(a, b, MIN_GAP)
+        (a, b): distances.gap(a, b) for a, b in itertools.combinations(tissues, 2) if distances.near(a, b, MIN_GAP)
     }
     assert close
     assert {pair: gap for pair, gap in close.items() if gap < MIN_GAP} == {}
@@ -164,21 +163,26 @@ def test_tissues_and_their_places(small):
 def test_ribs_slope_down_from_their_heads_to_the_front(small):
     for k in range(1, 13):
         points = small[f"rib_left_{k:02d}"].vertices
-        head, tip = points[np.argmin(points[:, 0])] if k > 7 else points[np.argmax(points[:, 1] - points[:, 0])], None
-        tip = points[np.argmin(points[:, 1])]
-        assert head[2] - tip[2] > 15 and tip[1] < head[1] + 25, k
+        behind = points[points[:, 1] > points[:, 1].mean()] if k < 11 else points
+        head = behind[np.argmin(behind[:, 0])]
+        tip = points[np.argmin(points[:, 1])] if k < 11 else points[np.argmax(points[:, 0])]
+        spine = small[f"vertebra_t{k:02d}"].vertices
+        assert 1.02 < head[0] - spine[:, 0].max() < 8 and abs(head[2] - spine[:, 2].mean()) < 10, k
+        assert head[2] - tip[2] > 20, k
 
 
 def test_thin_nerves_stay_round(small):
     for name in ("phrenic_nerve_left", "vagus_nerve_right"):
         mesh = small[name]
         corners = mesh.vertices[mesh.faces]
-        area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+        area = (
+            0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+        )
         # volume / area of a long round rod is radius / 2; of one with six sides 0.43 radii.
         assert 0.41 < volume(mesh) / area < 0.5
 
 
-@pytest.mark.parametrize("triangles", [20_000, 33_333, 60_000, 100_000])
+@pytest.mark.parametrize("triangles", [20_000, 33_333, 100_000])
 def test_number_of_triangles(triangles):
     assert sum(len(mesh.faces) for mesh in generate(triangles).values()) == pytest.approx(triangles, rel=0.1)
 
