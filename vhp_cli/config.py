@@ -9,7 +9,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_args
 
@@ -221,7 +220,7 @@ def _matches(name: str, pattern: str) -> bool:
 
 @cache
 def _profile_table() -> dict[str, Any]:
-    return tomllib.loads(files("vhp_cli").joinpath("data/profiles.toml").read_text(encoding="utf-8"))
+    return tomllib.loads(Path(__file__).with_name("data").joinpath("profiles.toml").read_text(encoding="utf-8"))
 
 
 def _read_config(config: Path | None, model: Sequence[Path]) -> tuple[dict[str, Any], str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
 
 UNKNOWN = "tissue"
 
@@ -20,7 +20,7 @@ def words(name: str) -> str:
 
 @cache
 def _types() -> tuple[tuple[str, re.Pattern[str]], ...]:
-    table = tomllib.loads(files("vhp_cli").joinpath("data/tissue_types.toml").read_text(encoding="utf-8"))
+    table = tomllib.loads(Path(__file__).with_name("data").joinpath("tissue_types.toml").read_text(encoding="utf-8"))
     return tuple(
         (row["name"], re.compile(rf"\b(?:{'|'.join(row['patterns'])})\b")) for row in table["type"]
     )

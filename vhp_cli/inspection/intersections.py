@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
+from numpy.typing import NDArray
 
-from vhp_cli.inspection.places import MAX_PLACES, contact_point
+from vhp_cli.inspection.places import MAX_PLACES, contact_points, point
 from vhp_cli.kernels.spatial import (
     KIND_COPLANAR,
     KIND_CROSSING,
@@ -44,12 +43,10 @@ def self_intersections(mesh: Mesh, tree: Tree) -> tuple[SelfIntersections, Defec
     return record, defects
 
 
-def _places(mesh: Mesh, pairs: Iterable[np.ndarray]) -> list[Place]:
-    corners = mesh.vertices[mesh.faces[np.asarray(pairs)]] if len(pairs) else ()  # type: ignore[arg-type]
-    return [
-        {"xyz_mm": contact_point(first, second), "face": int(pair[0])}
-        for pair, (first, second) in zip(pairs, corners, strict=True)
-    ]
+def _places(mesh: Mesh, pairs: NDArray[np.int32]) -> list[Place]:
+    corners = mesh.vertices[mesh.faces[pairs]]
+    points = contact_points(corners[:, 0], corners[:, 1])
+    return [{"xyz_mm": point(xyz), "face": int(face)} for xyz, face in zip(points, pairs[:, 0], strict=True)]
 
 
 def middle_contact(a: Mesh, b: Mesh, hits: Hits) -> tuple[Point, list[int]]:
@@ -61,4 +58,5 @@ def middle_contact(a: Mesh, b: Mesh, hits: Hits) -> tuple[Point, list[int]]:
     centres = (a.vertices[a.faces[pairs[:, 0]]] + b.vertices[b.faces[pairs[:, 1]]]).mean(axis=1)
     middle = np.linalg.norm(centres - centres.mean(axis=0), axis=1).argmin()
     first, second = (int(face) for face in pairs[middle])
-    return contact_point(a.vertices[a.faces[first]], b.vertices[b.faces[second]]), [first, second]
+    where = contact_points(a.vertices[a.faces[[first]]], b.vertices[b.faces[[second]]])
+    return point(where[0]), [first, second]

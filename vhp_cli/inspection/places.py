@@ -43,30 +43,46 @@ def at_edges(mesh: Mesh, edges: NDArray[np.int32], faces: Iterable[int]) -> list
     return [{"xyz_mm": point(xyz), "face": int(face)} for xyz, face in zip(midpoints, faces, strict=True)]
 
 
-def contact_point(first: NDArray[np.float64], second: NDArray[np.float64]) -> Point:
-    """Return a point at which two triangles (3, 3) meet, for display: the middle of their common part.
+def contact_points(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a point of contact of each pair of triangles, for display: the middle of their common part.
 
-    The mean of the crossings of each triangle's edges with the other; where these are lost to rounding
-    or the triangles overlap in one plane, the mean of the corners of each that are nearest to the other.
+    It is the mean of the points in which the edges of each pass through the other; where rounding loses these,
+    or the triangles lie in one plane, the middle between their two nearest corners.
+
+    Parameters
+    ----------
+    first, second : (N, 3, 3) float64
+        Corners of the triangles, of which each pair is known to meet.
+
+    Returns
+    -------
+    (N, 3) float64
     """
-    found = [*_edge_crossings(first, second), *_edge_crossings(second, first)]
-    if not found:
-        gaps = np.linalg.norm(first[:, None] - second[None], axis=2)
-        found = [first[gaps.min(axis=1).argmin()], second[gaps.min(axis=0).argmin()]]
-    return point(np.mean(found, axis=0))
+    points = [_edge_crossings(first, second), _edge_crossings(second, first)]
+    found = np.concatenate(points, axis=1)
+    hit = ~np.isnan(found[:, :, :1])
+    number = hit.sum(axis=1)
+    middle = np.where(hit, found, 0.0).sum(axis=1) / np.maximum(number, 1)
+    for pair in np.flatnonzero(number[:, 0] == 0):
+        distances = np.linalg.norm(first[pair, :, None] - second[pair, None], axis=2)
+        i, j = np.unravel_index(distances.argmin(), (3, 3))
+        middle[pair] = (first[pair, i] + second[pair, j]) / 2
+    return middle
 
 
-def _edge_crossings(edges: NDArray[np.float64], face: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    origin, u, v = face[0], face[1] - face[0], face[2] - face[0]
+def _edge_crossings(edges: NDArray[np.float64], faces: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return where the three edges of each triangle (N, 3, 3) pass through its partner: (N, 3, 3), NaN where not."""
+    origin, u, v = faces[:, :1], faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0]
     normal = np.cross(u, v)
-    heights = (edges - origin) @ normal
-    crossings = []
-    for i, j in ((0, 1), (1, 2), (2, 0)):
-        if heights[i] * heights[j] > 0 or heights[i] == heights[j]:
-            continue
-        xyz = edges[i] + (edges[j] - edges[i]) * (heights[i] / (heights[i] - heights[j]))
+    heights = np.einsum("nkd,nd->nk", edges - origin, normal)
+    after = np.roll(heights, -1, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = heights / (heights - after)
+        points = edges + (np.roll(edges, -1, axis=1) - edges) * share[:, :, None]
         # Barycentric coordinates in the plane of the face.
-        s, t = np.linalg.lstsq(np.column_stack((u, v)), xyz - origin, rcond=None)[0]
-        if s >= -1e-9 and t >= -1e-9 and s + t <= 1 + 1e-9:
-            crossings.append(xyz)
-    return crossings
+        offset = points - origin
+        size = np.einsum("nd,nd->n", normal, normal)[:, None]
+        s = np.einsum("nkd,nd->nk", np.cross(offset, v[:, None]), normal) / size
+        t = np.einsum("nkd,nd->nk", np.cross(u[:, None], offset), normal) / size
+        inside = (heights * after <= 0) & (heights != after) & (s >= -1e-9) & (t >= -1e-9) & (s + t <= 1 + 1e-9)
+    return np.where(inside[:, :, None], points, np.nan)
