@@ -93,6 +93,7 @@ class SelfIntersections(TypedDict):
     folded: int
     duplicate: int
     touching: int
+    complete: bool  # False: so many that counting stopped; the numbers are lower bounds
 
 
 class TissueMeasures(TypedDict):

@@ -162,3 +162,13 @@ def test_restored_surface_is_the_inspected_one():
         again = restore_surface(mesh, measures)
         assert (again.closed, again.solid) == (surface.closed, surface.solid)
         assert again.representatives.tolist() == surface.representatives.tolist()
+
+
+def test_a_hopeless_soup_ends_soon():
+    """Triangles that nearly all cross each other: their pairs are counted up to a bound only."""
+    corners = np.random.default_rng(5).uniform(0, 100, (20_000, 3, 3))
+    soup = Mesh(corners.reshape(-1, 3), np.arange(60_000).reshape(-1, 3))
+    measures, defects = inspect(soup)
+    assert not measures["self_intersections"]["complete"]
+    assert 10_000_000 <= measures["self_intersections"]["pairs"] < 10_100_000
+    assert "at least" in defects["X001"]["detail"]

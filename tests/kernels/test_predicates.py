@@ -94,6 +94,16 @@ def test_orient3d_is_exact_next_to_the_plane(points, weights, steps):
     assert orient([[d, b, c, a]])[0] == -expected
 
 
+def test_orient2d_is_exact_next_to_the_line():
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=(2, 2000, 2)) * 10.0 ** rng.integers(-3, 3, (2, 2000, 1))
+    c = a + rng.uniform(-2, 2, (2000, 1)) * (b - a)
+    points = np.stack([a, b, c], axis=1)
+    expected = np.array([determinant_sign(p) for p in points])
+    assert set(expected) == {-1, 1} or set(expected) == {-1, 0, 1}
+    assert np.array_equal(orient(points), expected)
+
+
 def test_one_ulp_decides():
     up, down = np.nextafter(0.5, 1), np.nextafter(0.5, 0)
     assert orient([[(0, 0), (1, 1), (0.5, y)] for y in (up, 0.5, down)]).tolist() == [1, 0, -1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import time
 import tracemalloc
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
@@ -128,8 +129,10 @@ def test_hits_move_and_renumber_with_the_mesh():
 
 def test_listed_pairs_are_the_worst_in_order():
     ball = sphere(10)
-    both = joined(ball, ball, sphere(10, (3, 1, 0)))
+    folds = Mesh(np.array([(30, 0, 0), (40, 0, 0), (30, 9, 0), (33, 4, 0)], float), np.array([(0, 1, 2), (1, 0, 3)]))
+    both = joined(folds, ball, ball, sphere(10, (3, 1, 0)))
     every = tree_of(both).self_hits(limit=100_000)
+    assert every.counts[KIND_FOLD] == 1
     keys = [(SEVERITY[int(kind)], *pair) for kind, pair in zip(every.kinds, every.pairs.tolist(), strict=True)]
     assert keys == sorted(keys)
     assert (every.pairs[:, 0] < every.pairs[:, 1]).all()
@@ -145,8 +148,7 @@ def test_listed_pairs_are_the_worst_in_order():
         assert set(as_dict(few)) <= set(as_dict(every))
 
 
-def test_boxes_hold_doubles_that_no_float_holds():
-    """Corners that meet in doubles between two floats: boxes rounded to nearest would be apart."""
+def test_contacts_of_doubles_that_no_float_holds():
     rng = np.random.default_rng(2)
     for _ in range(300):
         point = rng.normal(size=3) * 10.0 ** rng.integers(-6, 6)
@@ -183,11 +185,17 @@ def test_faces_without_area_are_no_hits_and_cost_nothing():
 
 def test_a_far_outlier_leaves_the_tree_useful():
     ball = sphere(10, subdivisions=5)
+    ball = Mesh(ball.vertices, np.random.default_rng(0).permutation(ball.faces))
     vertices = np.vstack([ball.vertices, [(1e30, 0, 0), (1e30, 1e30, 0), (1e30, 0, 1e30)]])
     n = len(ball.vertices)
-    tree = Tree(vertices, np.vstack([ball.faces, [(n, n + 1, n + 2)]]))
-    assert tree.self_hits().n_pairs == 0  # takes minutes if all of the ball falls into one cell
-    assert tree.upper.tolist() == [1e30, 1e30, 1e30]
+    with_outlier = Tree(vertices, np.vstack([ball.faces, [(n, n + 1, n + 2)]]))
+    assert with_outlier.upper.tolist() == [1e30, 1e30, 1e30]
+    times = []
+    for tree in (tree_of(ball), with_outlier):
+        start = time.thread_time()
+        assert tree.self_hits().n_pairs == 0
+        times.append(time.thread_time() - start)
+    assert times[1] < 10 * times[0]  # 100 times if all of the ball falls into one cell
 
 
 # ---- gaps
@@ -280,6 +288,16 @@ def test_triangle_distance_is_accurate(kind):
     assert apart > 30
 
 
+def test_distance_of_edges_that_cross_at_a_small_angle():
+    """A finite best distance, from the vertices, must not rule out the edges by their uncertain normal."""
+    for seed in range(12):
+        turn = rotation(seed)
+        for angle, height in itertools.product(10.0 ** np.arange(-8, -2), (0.1, 4e-4, 1e-6)):
+            a = np.array([(-1, 0, 0), (1, 0, 0), (0, 0, -1)])
+            b = np.array([(-1, -angle, height), (1, angle, height), (0, 0, 1)])
+            check_distance(a @ turn, b @ turn)
+
+
 def test_distance_far_from_the_origin():
     rng = np.random.default_rng(3)
     for _ in range(40):
@@ -321,6 +339,44 @@ def test_gap_equals_the_least_of_all_pairs_of_faces():
         else:
             assert found.distance == min(g.distance for g in every.values())
             assert every[found.faces].distance == found.distance
+
+
+def test_gap_of_soups_equals_the_least_of_all_pairs_of_faces():
+    apart = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        a, b = soup(rng, 12, 0.25), soup(rng, 12, 0.25)
+        found = gap(tree_of(a), tree_of(b))
+        every = [gap(single(a.vertices[f]), single(b.vertices[g])) for f, g in itertools.product(a.faces, b.faces)]
+        assert (found.contact_kind > 0) == any(g.contact_kind for g in every)
+        if not found.contact_kind:
+            apart += 1
+            assert found.distance == min(g.distance for g in every)
+    assert apart > 15
+
+
+def test_gap_between_doubles_that_no_float_holds():
+    """Boxes rounded to nearest would keep apart what is nearest, by half a float's unit of 6e-5."""
+    rng = np.random.default_rng(6)
+    for _ in range(8):
+        height = rng.uniform(600, 1000)
+        low = [np.array([(x, 0, height - rng.random() * 1e-5), (x + 1, 0, 500), (x, 1, 500)]) for x in range(8)]
+        high = [corners * (1, 1, -1) + (0, 0, 2 * height + 1e-5) for corners in low]
+        found = gap(*(Tree(np.vstack(part), np.arange(24).reshape(8, 3)) for part in (low, high)))
+        exact = min(rational_distance2(one, other) for one, other in itertools.product(low, high))
+        assert found.distance == pytest.approx(math.sqrt(exact), rel=1e-6)
+
+
+@pytest.mark.parametrize("corner", [(0, 0, 0), (8, 8, 8)])
+def test_contact_is_found_after_a_face_without_area_at_distance_zero(corner):
+    cube = grid_box((0, 0, 0), (8, 8, 8), 4)
+    point = np.subtract(8, corner)
+    crossing = np.array(corner) + [(-1, -0.5, 0.1), (1, 0.5, 0.2), (0.3, 1, -1)]
+    mixed = Tree(np.vstack([crossing, [point]]), [(0, 1, 2), (3, 3, 3)])
+    for a, b in ((mixed, tree_of(cube)), (tree_of(cube), mixed)):
+        assert gap(a, b).contact_kind > 0
+    alone = gap(Tree([point], [(0, 0, 0)]), tree_of(cube))
+    assert (alone.contact_kind, alone.distance) == (0, 0)
 
 
 def test_gap_limit():
@@ -380,6 +436,18 @@ def test_inside_to_one_ulp():
             if wall == 0:
                 points[[0, 2], axis] = -1e-60, 1e-60
             assert tree.inside(points).tolist() == [0, -1, 1]
+
+
+def test_inside_of_a_wall_that_no_float_holds():
+    for corner in (0.1, 0.3, 1000.7):
+        cube = box([corner] * 3, [corner + 0.2] * 3)
+        tree = tree_of(cube)
+        low, high = cube.vertices.min(), cube.vertices.max()
+        for axis in range(3):
+            for wall, inward in ((low, np.inf), (high, -np.inf)):
+                points = np.full((3, 3), corner + 0.1)
+                points[:, axis] = np.nextafter(wall, -inward), wall, np.nextafter(wall, inward)
+                assert tree.inside(points).tolist() == [0, -1, 1]
 
 
 @pytest.mark.parametrize("mesh", [sphere(10, subdivisions=3), torus(10, 3), joined(sphere(9), flipped(sphere(5)))])

@@ -33,6 +33,7 @@ def self_intersections(mesh: Mesh, tree: Tree) -> tuple[SelfIntersections, Defec
         "folded": int(hits.counts[KIND_FOLD]),
         "duplicate": int(hits.counts[KIND_DUPLICATE]),
         "touching": int(hits.counts[KIND_TOUCH]),
+        "complete": hits.complete,
     }
     defects: Defects = {}
     for kind, code in _RULE_OF_KIND.items():
@@ -40,6 +41,8 @@ def self_intersections(mesh: Mesh, tree: Tree) -> tuple[SelfIntersections, Defec
             listed = hits.pairs[hits.kinds == kind]
             places = _places(mesh, listed[:MAX_PLACES])
             defects[code] = {"count": int(hits.counts[kind]), "places": places}
+            if not hits.complete:
+                defects[code]["detail"] = "at least, as counting stopped there"
     return record, defects
 
 

@@ -178,5 +178,6 @@ def inspect_nothing() -> TissueMeasures:
             "folded": 0,
             "duplicate": 0,
             "touching": 0,
+            "complete": True,
         },
     }

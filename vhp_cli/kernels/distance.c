@@ -14,10 +14,11 @@
 
 #include <math.h>
 
-/* Planes and lines rule out a pair by a distance of their own only if they are well determined, with
- * angles of which the sine squared is above 0.01, and if that distance is larger by some margin. */
-#define WELL_SHAPED 0.01
+/* The distance from a plane, or of two lines, rules out a pair if it is larger by this margin. Even for
+ * a sliver the plane contains the triangle up to rounding; but nearly parallel edges leave the direction
+ * in which they are farthest apart uncertain, and are compared in full: below this sine squared. */
 #define SURELY (1 + 1e-6)
+#define NEARLY_PARALLEL 0.01
 
 static inline double dot(const double *a, const double *b)
 {
@@ -59,23 +60,17 @@ void vhp_shape_of(Shape *shape, const double *a, const double *b, const double *
         if (length[k] < length[shape->base])
             shape->base = k;
     }
-    /* Height over the shortest edge, made orthogonal twice: once is not enough for a sliver. */
+    /* Height over the shortest edge: a needle's is known best there. */
     const double *base = shape->edge[shape->base];
     const double *back = shape->edge[shape->base == 0 ? 2 : shape->base - 1];
     const double inverse = shape->inverse[shape->base];
+    shape->foot = -dot(back, base) * inverse;
     for (int d = 0; d < 3; d++)
-        shape->height[d] = -back[d];
-    shape->foot = 0;
-    for (int pass = 0; pass < 2; pass++) {
-        const double step = dot(shape->height, base) * inverse;
-        shape->foot += step;
-        for (int d = 0; d < 3; d++)
-            shape->height[d] -= step * base[d];
-    }
+        shape->height[d] = -back[d] - shape->foot * base[d];
     const double height = dot(shape->height, shape->height);
     shape->inverse_height = inverse > 0 && height > 0 ? 1 / height : 0;
     cross(base, shape->height, shape->normal);
-    shape->inverse_normal = height * inverse > WELL_SHAPED ? inverse * shape->inverse_height : 0;
+    shape->inverse_normal = inverse * shape->inverse_height;
 }
 
 int vhp_plane_separates(const Shape *shape, const double *const points[3], double best)
@@ -137,8 +132,7 @@ static inline double edge_to_edge(const Shape *a, int i, const Shape *b, int j, 
         return best;
     subtract(b->v[j], a->v[i], offset);
     const double height = dot(offset, normal);
-    /* Lines farther apart need no more, if their distance is known well: not if nearly parallel. */
-    if (height * height > best * square * SURELY && square * a->inverse[i] * b->inverse[j] > WELL_SHAPED)
+    if (height * height > best * square * SURELY && square * a->inverse[i] * b->inverse[j] > NEARLY_PARALLEL)
         return best;
     cross(offset, b->edge[j], moment);
     const double s = dot(moment, normal) / square;

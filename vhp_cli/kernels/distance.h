@@ -12,7 +12,7 @@ typedef struct {
     double foot;            /* place of the foot along the base */
     double inverse_height;  /* 1 / squared length of the height; 0 if degenerate */
     double normal[3];       /* base x height */
-    double inverse_normal;  /* 1 / squared length of the normal; 0 if the triangle is degenerate or a sliver */
+    double inverse_normal;  /* 1 / squared length of the normal; 0 if degenerate */
 } Shape;
 
 void vhp_shape_of(Shape *shape, const double *a, const double *b, const double *c);

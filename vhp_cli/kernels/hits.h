@@ -13,8 +13,13 @@ static const int worst_first[KINDS - 1] = {KIND_CROSSING, KIND_COPLANAR, KIND_FO
 
 enum { IN_ANY = 1, IN_CROSSING = 2, IN_COPLANAR = 4 };
 
+/* A soup of triangles can have as many pairs as the square of its faces. Such a mesh is hopeless long before the
+ * last pair is counted, so the count stops here; mirrored in spatial.py. */
+#define MOST_PAIRS 10000000
+
 typedef struct {
     int64_t limit;         /* pairs kept of each kind */
+    int64_t total;         /* pairs met */
     int64_t counts[KINDS]; /* pairs met of each kind */
     int32_t *pairs;        /* (KINDS, limit, 2) */
     uint8_t *marks_a, *marks_b; /* per face: in which kinds of pairs it is; one array if b is a */
@@ -34,6 +39,7 @@ static inline int start_hits(Hits *hits, int64_t limit, int64_t n_a, int64_t n_b
     for (int kind = 0; kind < KINDS; kind++)
         hits->counts[kind] = 0;
     hits->limit = limit;
+    hits->total = 0;
     hits->pairs = malloc((size_t)limit * KINDS * 2 * sizeof *hits->pairs + 1);
     hits->marks_a = calloc((size_t)n_a + 1, 1);
     hits->marks_b = n_b < 0 ? hits->marks_a : calloc((size_t)n_b + 1, 1);
@@ -43,10 +49,17 @@ static inline int start_hits(Hits *hits, int64_t limit, int64_t n_a, int64_t n_b
     return 0;
 }
 
+/* 0 if there is no point in going on. */
+static inline int wants_more(const Hits *hits)
+{
+    return hits->total < MOST_PAIRS;
+}
+
 static inline void add_hit(Hits *hits, int kind, int64_t face_a, int64_t face_b)
 {
     const uint8_t mark = IN_ANY | (kind == KIND_CROSSING ? IN_CROSSING : 0) | (kind == KIND_COPLANAR ? IN_COPLANAR : 0);
     const int64_t place = hits->counts[kind]++;
+    hits->total++;
     hits->marks_a[face_a] |= mark;
     hits->marks_b[face_b] |= mark;
     if (place < hits->limit) {

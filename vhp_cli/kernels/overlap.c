@@ -139,9 +139,9 @@ static int on_one_side(const int sides[3])
     return sides[0] == sides[1] && sides[1] == sides[2];
 }
 
-/* If faces f of A and g of B meet, add their segment to both. The order of the four points in which
+/* If faces f of A and g of B meet, add their segment to both; 0 if they meet in a degenerate way. The order of the four points in which
  * their edges pierce the other plane along the common line is found as in vhp_triangles_meet. */
-static void add_segment(void *context, int64_t f, int64_t g)
+static int add_segment(void *context, int64_t f, int64_t g)
 {
     Overlap *o = context;
     const Tree *a = o->sides[0].tree, *b = o->sides[1].tree;
@@ -149,14 +149,14 @@ static void add_segment(void *context, int64_t f, int64_t g)
     const Plane plane_f = plane_of(corner(a, f, 0), corner(a, f, 1), corner(a, f, 2));
     const int clear_q = sides_of(&plane_f, b, g, q.sides);
     if (clear_q && on_one_side(q.sides))
-        return;
+        return 1;
     const Plane plane_g = plane_of(corner(b, g, 0), corner(b, g, 1), corner(b, g, 2));
     const int clear_p = sides_of(&plane_g, a, f, p.sides);
     if (clear_p && on_one_side(p.sides))
-        return;
+        return 1;
     if (!clear_p || !clear_q) {
         o->degenerate = 1;
-        return;
+        return 0;
     }
     const int up_p = place_across(&p, a, f) > 0, up_q = place_across(&q, b, g) > 0;
     if (!up_p)
@@ -166,12 +166,12 @@ static void add_segment(void *context, int64_t f, int64_t g)
     const int before = orient3d(p.at[0], p.at[1], q.at[0], q.at[1]);
     const int after = orient3d(p.at[0], p.at[2], q.at[0], q.at[2]);
     if (before > 0 || after < 0)
-        return;
+        return 1;
     const int start_side = orient3d(p.at[0], p.at[2], q.at[0], q.at[1]);
     const int end_side = orient3d(p.at[0], p.at[1], q.at[0], q.at[2]);
     if (!before || !after || !start_side || !end_side) {
         o->degenerate = 1;
-        return;
+        return 0;
     }
     double ends[2][3];
     if (start_side < 0)
@@ -186,6 +186,7 @@ static void add_segment(void *context, int64_t f, int64_t g)
      * g the other way; each turning over has reversed the order of the ends. */
     const int first = up_p != up_q;
     o->six_volumes += cone(o, a, f, ends[first], ends[!first]) + cone(o, b, g, ends[!first], ends[first]);
+    return 1;
 }
 
 /* ---- which vertices are inside */

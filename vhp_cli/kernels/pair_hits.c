@@ -8,7 +8,7 @@ typedef struct {
     Hits hits;
 } PairTest;
 
-static void test_faces(void *context, int64_t i, int64_t j)
+static int test_faces(void *context, int64_t i, int64_t j)
 {
     PairTest *test = context;
     const double *a[3] = {corner(test->a, i, 0), corner(test->a, i, 1), corner(test->a, i, 2)};
@@ -16,6 +16,7 @@ static void test_faces(void *context, int64_t i, int64_t j)
     const int kind = vhp_triangles_meet(a, b);
     if (kind)
         add_hit(&test->hits, kind, i, j);
+    return wants_more(&test->hits);
 }
 
 /* pairs (limit, 2), kinds (limit), counts (10): see finish_hits. Returns the number of pairs

@@ -58,7 +58,7 @@ VHP_EXPORT int64_t vhp_self_hits(const Tree *tree, int64_t limit, int32_t *pairs
         waiting[0].a = waiting[0].b = 0;
         count = 1;
     }
-    while (count) {
+    while (count && wants_more(&hits)) {
         count--;
         const int64_t a = waiting[count].a, b = waiting[count].b; /* of one level; a <= b */
         if (only_degenerate(tree, b))

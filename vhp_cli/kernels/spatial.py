@@ -22,6 +22,9 @@ KIND_FOLD = 4
 KIND_DUPLICATE = 5
 _KINDS = 6
 
+# Pairs of faces after which counting stops; mirrored from hits.h.
+MOST_PAIRS = 10_000_000
+
 # At most so many faces per leaf (and more than half as many on average): the fastest, by measurement.
 _LEAF_FACES = 4
 _SMALLEST = 1e-60
@@ -91,8 +94,13 @@ class Hits:
 
     @property
     def n_pairs(self) -> int:
-        """Number of all pairs, whether listed or not."""
+        """Number of all pairs, whether listed or not; at least that many if the count is not `complete`."""
         return int(self.counts.sum())
+
+    @property
+    def complete(self) -> bool:
+        """False if there are so many pairs that counting stopped at `MOST_PAIRS` or soon after."""
+        return self.n_pairs < MOST_PAIRS
 
 
 @dataclass(frozen=True, slots=True, eq=False)

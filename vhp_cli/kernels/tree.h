@@ -87,8 +87,8 @@ static inline float box_size(const float *box)
     return (box[3] - box[0]) + (box[4] - box[1]) + (box[5] - box[2]);
 }
 
-/* Call visit(context, i, j) for all faces i of a and j of b with an area whose boxes overlap. */
-static inline void for_each_box_pair(const Tree *a, const Tree *b, void (*visit)(void *, int64_t, int64_t),
+/* Call visit(context, i, j) for all faces i of a and j of b with an area whose boxes overlap, until it returns 0. */
+static inline void for_each_box_pair(const Tree *a, const Tree *b, int (*visit)(void *, int64_t, int64_t),
                                      void *context)
 {
     struct { int64_t a, b; } waiting[WALK_DEPTH];
@@ -110,8 +110,8 @@ static inline void for_each_box_pair(const Tree *a, const Tree *b, void (*visit)
                 if (!boxes_overlap(face_box(a, i), box_b))
                     continue;
                 for (int64_t j = leaf_begin(b, node_b); j < end_b && j < b->n_regular; j++)
-                    if (boxes_overlap(face_box(a, i), face_box(b, j)))
-                        visit(context, i, j);
+                    if (boxes_overlap(face_box(a, i), face_box(b, j)) && !visit(context, i, j))
+                        return;
             }
         } else if (leaf_b || (!leaf_a && box_size(box_a) >= box_size(box_b))) {
             for (int64_t child = 2 * node_a + 1; child <= 2 * node_a + 2; child++, count++) {

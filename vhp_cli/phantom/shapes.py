@@ -202,11 +202,14 @@ def plate(
     def project(p: Array) -> Array:
         x, y = (p[..., 0] - centre[0]) / squeeze, p[..., 1] - centre[1]
         distance, theta = np.hypot(x, y), np.arctan2(y, x)
-        height = p[..., 2] / half_thickness
-        on_rim = np.abs(height) < 0.35
         flat = outline(theta) - half_thickness
-        distance = np.where(on_rim, flat + half_thickness, np.minimum(distance, flat))
-        return place(distance, theta, np.where(on_rim, 0.0, np.sign(height)) * half_thickness)
+        beyond = distance - flat
+        # On the rounded rim; a point between the two faces that was drawn inwards belongs to the rim's middle.
+        drawn_in = (beyond <= 0) & (np.abs(p[..., 2]) < 0.35 * half_thickness)
+        beyond = np.where(drawn_in, half_thickness, beyond)
+        height = np.where(drawn_in, 0.0, p[..., 2])
+        length = np.where(beyond > 0, np.hypot(beyond, height), np.abs(height)) / half_thickness
+        return place(np.where(beyond > 0, flat + beyond / length, distance), theta, height / length)
 
     def bend(p: Array) -> Array:
         return p + lift(p[..., 0], p[..., 1])[..., None] * [0.0, 0.0, 1.0]

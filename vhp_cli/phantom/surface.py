@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vhp_cli.phantom.curves import Array
-from vhp_cli.phantom.triangles import Faces, flip_edges, neighbour_mean, sew, triangle_quality
+from vhp_cli.phantom.triangles import FLIP_BELOW, Faces, flip_edges, neighbour_mean, sew, triangle_quality
 
 PointFunction = Callable[[Array, Array], Array]
 
 RELAXATIONS = 16
+PASSES = 3
 GOOD_QUALITY = 0.5
 ROW_HEIGHT = float(np.sqrt(3)) / 2  # of an equilateral triangle with unit edge
 
@@ -131,7 +132,11 @@ class Surface:
         s = np.repeat(plan.s, plan.counts)
         vertices, faces = self.point(s, theta), sew(plan.counts, stagger)
         if self.project is not None:
-            vertices = self._relaxed(vertices, faces)
+            for _ in range(PASSES):
+                vertices = self._relaxed(vertices, faces)
+                faces = flip_edges(vertices, faces)
+                if triangle_quality(vertices[faces]).min() >= FLIP_BELOW:
+                    break
         if self.finish is not None:
             vertices = self.finish(vertices)
         return vertices, flip_edges(vertices, faces)
