@@ -243,28 +243,48 @@ def scale(rounds: int, scratch: Path) -> dict[str, Any]:
 
 
 def scale_table(result: dict[str, Any]) -> str:
-    """Return time and memory per triangle, and the exponents of growth."""
+    """Return time and memory by size: in all, for each triangle, and how they grow from one size to the next."""
+    quantities = ("cpu_s", "wall_s", "memory_mb")
+    sizes = result["sizes"]
+    used = [{quantity: median(size["runs"], quantity) for quantity in quantities} for size in sizes]
+    triangles = [size["triangles"] for size in sizes]
     rows = []
-    fixed = {quantity: median(result["startup"], quantity) for quantity in ("cpu_s", "wall_s", "memory_mb")}
-    total: dict[str, list[float]] = {quantity: [] for quantity in fixed}
-    for size in result["sizes"]:
-        used = {quantity: median(size["runs"], quantity) for quantity in fixed}
-        for quantity, amount in used.items():
-            total[quantity].append(amount)
-        triangles = size["triangles"]
-        rows.append([
-            size["model"], f"{triangles:,}", *(f"{used[quantity]:.2f}" for quantity in ("cpu_s", "wall_s")),
-            f"{used['memory_mb']:.0f}", f"{used['cpu_s'] / triangles * 1e6:.2f}",
-            f"{used['wall_s'] / triangles * 1e6:.2f}", f"{used['memory_mb'] * 2**20 / triangles:.0f}",
-        ])  # fmt: skip
-    header = ["model", "triangles", "CPU s", "wall s", "peak MB", "CPU us/tri", "wall us/tri", "peak B/tri"]
-    triangles = [size["triangles"] for size in result["sizes"]]
+    for index, (size, amounts) in enumerate(zip(sizes, used, strict=True)):
+        row = [size["model"], f"{size['triangles']:,}"]
+        for quantity, digits, scale_to, unit_digits in (
+            ("cpu_s", 2, 1e6, 2),
+            ("wall_s", 2, 1e6, 2),
+            ("memory_mb", 0, 2**20, 0),
+        ):
+            row.append(f"{amounts[quantity]:.{digits}f}")
+            row.append(f"{amounts[quantity] * scale_to / size['triangles']:.{unit_digits}f}")
+            if index:
+                ends = slice(index - 1, index + 1)
+                row.append(f"{exponent(triangles[ends], [amount[quantity] for amount in used[ends]]):.2f}")
+            else:
+                row.append("")
+        rows.append(row)
+    header = [
+        "model",
+        "triangles",
+        "CPU s",
+        "us/tri",
+        "power",
+        "wall s",
+        "us/tri",
+        "power",
+        "peak MB",
+        "B/tri",
+        "power",
+    ]
+    fixed = {quantity: median(result["startup"], quantity) for quantity in quantities}
     lines = [table(header, rows), ""]
-    for quantity, label in (("cpu_s", "CPU"), ("wall_s", "wall"), ("memory_mb", "memory")):
-        net = [amount - fixed[quantity] for amount in total[quantity]]
-        slopes = [f"{exponent(triangles, total[quantity]):.2f}"]
-        slopes.append(f"{exponent(triangles, net):.2f}" if min(net) > 0 else "-")
-        lines.append(f"- {label}: grows with the triangles to the power {slopes[0]}, less start-up {slopes[1]}")
+    for quantity, label in zip(quantities, ("CPU", "wall", "memory"), strict=True):
+        net = [amount[quantity] - fixed[quantity] for amount in used]
+        line = f"- {label} over all sizes: power {exponent(triangles, [amount[quantity] for amount in used]):.2f}"
+        if min(net) > 0:
+            line += f", less the start of Python and its imports {exponent(triangles, net):.2f}"
+        lines.append(line)
     return "\n".join(lines)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -357,3 +358,13 @@ def test_round_trip(tmp_path, single):
     other = trimesh.load(io.BytesIO(ply_bytes(reading.mesh)), file_type="ply", process=False)
     assert_array_equal(other.vertices, vertices)
     assert_array_equal(other.faces, MESH.faces)
+
+
+def test_a_signalling_nan_is_reported_like_any_other():
+    header = b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+    header += b"property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4").view("<u4")
+    corners[1, 1] = 0x7F800001
+    faces = b"\x03" + np.arange(3, dtype="<i4").tobytes()
+    reading = parse_mesh(Path("a.ply"), header + corners.tobytes() + faces)
+    assert [issue.rule for issue in reading.issues] == ["F004"] and len(reading.mesh.faces) == 0

@@ -371,7 +371,7 @@ def test_gap_between_doubles_that_no_float_holds():
 def test_contact_is_found_after_a_face_without_area_at_distance_zero(corner):
     cube = grid_box((0, 0, 0), (8, 8, 8), 4)
     point = np.subtract(8, corner)
-    crossing = np.array(corner) + [(-1, -0.5, 0.1), (1, 0.5, 0.2), (0.3, 1, -1)]
+    crossing = np.add(corner, [(-1, -0.5, 0.1), (1, 0.5, 0.2), (0.3, 1, -1)])
     mixed = Tree(np.vstack([crossing, [point]]), [(0, 1, 2), (3, 3, 3)])
     for a, b in ((mixed, tree_of(cube)), (tree_of(cube), mixed)):
         assert gap(a, b).contact_kind > 0
@@ -382,7 +382,7 @@ def test_contact_is_found_after_a_face_without_area_at_distance_zero(corner):
 def test_gap_limit():
     a, b = tree_of(box()), tree_of(box((10.5, 0, 0), (20, 10, 10)))
     assert gap(a, b, 0.5).distance == 0.5
-    assert gap(a, b, 0.499999999) is None
+    assert gap(a, b, np.nextafter(0.5, 0)) is None
     assert gap(a, b, 0.0) is None
     assert gap(a, Tree(np.empty((0, 3)), np.empty((0, 3), int))) is None
 

@@ -261,7 +261,8 @@ class _Body:
                 self._offset = begin
                 starts, lengths, complete = self._walk(element, axis)
                 columns.append(self._gather(starts, lengths, element.properties[axis]))
-            return np.column_stack(columns).astype(np.float64), complete
+            with np.errstate(invalid="ignore"):
+                return np.column_stack(columns).astype(np.float64), complete
         stride = sum(item.size for item in element.properties)
         complete = min(element.count, (len(self._values) - self._offset) // stride)
         points = np.empty((complete, 3))
@@ -269,7 +270,9 @@ class _Body:
             item = element.properties[axis]
             first = self._offset + sum(before.size for before in element.properties[:axis])
             if complete:
-                points[:, k] = np.ndarray(complete, self._order + item.type, self._values, first, stride)
+                # A signalling NaN warns when it is cast; it is reported with the others that are not finite.
+                with np.errstate(invalid="ignore"):
+                    points[:, k] = np.ndarray(complete, self._order + item.type, self._values, first, stride)
         self._offset += complete * stride
         return points, complete
 

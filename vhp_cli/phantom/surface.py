@@ -22,6 +22,7 @@ PointFunction = Callable[[Array, Array], Array]
 
 RELAXATIONS = 16
 PASSES = 3
+POLISHES = 6
 GOOD_QUALITY = 0.5
 ROW_HEIGHT = float(np.sqrt(3)) / 2  # of an equilateral triangle with unit edge
 
@@ -131,27 +132,50 @@ class Surface:
         theta, stagger = self._ring_angles(plan)
         s = np.repeat(plan.s, plan.counts)
         vertices, faces = self.point(s, theta), sew(plan.counts, stagger)
-        if self.project is not None:
-            for _ in range(PASSES):
-                vertices = self._relaxed(vertices, faces)
-                faces = flip_edges(vertices, faces)
-                if triangle_quality(vertices[faces]).min() >= FLIP_BELOW:
-                    break
-        if self.finish is not None:
-            vertices = self.finish(vertices)
-        return vertices, flip_edges(vertices, faces)
+        for _ in range(PASSES):
+            vertices = self._relaxed(vertices, faces)
+            faces = flip_edges(self._finished(vertices), faces)
+            if self.project is None or self._worst(vertices, faces) >= FLIP_BELOW:
+                break
+        return self._finished(self._polished(vertices, faces)), faces
+
+    def _finished(self, vertices: Array) -> Array:
+        return vertices if self.finish is None else self.finish(vertices)
+
+    def _worst(self, vertices: Array, faces: Faces) -> float:
+        return float(triangle_quality(self._finished(vertices[faces])).min())
 
     def _relaxed(self, vertices: Array, faces: Faces) -> Array:
-        """Move vertices towards the middle of their neighbours as long as the worst triangle gains by it."""
-        assert self.project is not None
-        best, best_quality = vertices, triangle_quality(vertices[faces]).min()
+        """Move vertices towards the middle of their neighbours; return the state with the best worst triangle."""
+        if self.project is None:
+            return vertices
+        best, best_quality = vertices, self._worst(vertices, faces)
         for _ in range(RELAXATIONS):
             if best_quality >= GOOD_QUALITY:
                 break
             vertices = self.project(0.4 * vertices + 0.6 * neighbour_mean(vertices, faces))
-            if (quality := triangle_quality(vertices[faces]).min()) > best_quality:
+            if (quality := self._worst(vertices, faces)) > best_quality:
                 best, best_quality = vertices, quality
         return best
+
+    def _polished(self, vertices: Array, faces: Faces) -> Array:
+        """Move single vertices of bad triangles towards the middle of their neighbours where that helps."""
+        if self.project is None:
+            return vertices
+        vertices = vertices.copy()
+        for _ in range(POLISHES):
+            bad = triangle_quality(self._finished(vertices[faces])) < FLIP_BELOW
+            for vertex in np.unique(faces[bad]).tolist():
+                fan = faces[(faces == vertex).any(axis=1)]
+                middle = vertices[np.setdiff1d(fan, [vertex])].mean(axis=0)
+                place, quality = vertices[vertex].copy(), self._worst(vertices, fan)
+                for share in (0.3, 0.6, 1.0, -0.3):
+                    vertices[vertex] = self.project(place + share * (middle - place))
+                    if self._worst(vertices, fan) > quality:
+                        break
+                else:
+                    vertices[vertex] = place
+        return vertices
 
     def _ring_angles(self, plan: Plan) -> tuple[Array, Array]:
         """Return the angles of all points, at equal distances along each ring; every other ring by half a step."""
