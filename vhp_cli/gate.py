@@ -182,17 +182,17 @@ def _pair(pair: PairRecord, settings: Settings) -> Iterator[_Broken]:
     elif relation == "crossing":
         faces = pair["crossing_faces"] or pair["contact_faces"]
         overlap = f", common volume {pair['overlap_mm3']:.4g} mm3" if pair["overlap_mm3"] else ""
-        yield "P001", faces, f"{_count(faces, 'face', 'faces')} of either cross{overlap}", places
+        yield "P001", faces, f"{_count(faces, 'face', 'faces')} of the two cross{overlap}", places
     if pair["undecided"]:
         yield "P007", 1, "one surface is open, so inside and outside can't be told there", places
     if any(pattern.matches(*names) or pattern.matches(*names[::-1]) for pattern in settings.may_touch):
         return
     if pair["coplanar_faces"] and relation != "identical":
         faces = pair["coplanar_faces"]
-        yield "P003", faces, f"{_count(faces, 'face', 'faces')} of either lie on each other", places
+        yield "P003", faces, f"{_count(faces, 'face', 'faces')} of the two lie on each other", places
     elif relation == "touching":
         faces = pair["contact_faces"]
-        yield "P002", faces, f"{_count(faces, 'face', 'faces')} of either touch", places
+        yield "P002", faces, f"{_count(faces, 'face', 'faces')} of the two touch", places
     gap, limit = pair["min_gap_mm"], settings.rule("P005", *names).limit
     if gap and limit is not None and gap < limit * (1 - GAP_ROUNDING):
         yield "P005", 1, f"the gap is {gap:.4g} mm, at least {limit:g} mm asked", places
