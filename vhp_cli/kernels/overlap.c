@@ -139,8 +139,9 @@ static int on_one_side(const int sides[3])
     return sides[0] == sides[1] && sides[1] == sides[2];
 }
 
-/* If faces f of A and g of B meet, add their segment to both; 0 if they meet in a degenerate way. The order of the four points in which
- * their edges pierce the other plane along the common line is found as in vhp_triangles_meet. */
+/* If faces f of A and g of B meet, add their segment to both; 0 if they meet in a degenerate way. The
+ * order of the four points in which their edges pierce the other plane along the common line is found as
+ * in vhp_triangles_meet. */
 static int add_segment(void *context, int64_t f, int64_t g)
 {
     Overlap *o = context;
