@@ -134,6 +134,7 @@ def test_two_boxes_at_an_edge_and_at_a_corner():
 def test_a_crossing_is_located_where_it_is():
     both = joined(sphere(10), moved(sphere(10), (14, 0.5, 0.25)))
     measures, defects = inspect(both)
+    assert set(defects) == {"X001"}
     assert defects["X001"]["count"] == measures["self_intersections"]["crossing"] > 10
     for place in defects["X001"]["places"]:
         assert 6 < place["xyz_mm"][0] < 8  # both spheres meet in the plane half way
@@ -171,4 +172,4 @@ def test_a_hopeless_soup_ends_soon():
     measures, defects = inspect(soup)
     assert not measures["self_intersections"]["complete"]
     assert 10_000_000 <= measures["self_intersections"]["pairs"] < 10_100_000
-    assert "at least" in defects["X001"]["detail"]
+    assert "counting stopped" in defects["X001"]["detail"]

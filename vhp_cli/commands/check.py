@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -70,6 +71,9 @@ def check(
 
     Exit code: 0 passed, 1 errors found, 2 wrong usage or nothing readable, 3 a tissue could not be processed.
     """
+    # numpy's linear algebra is not used here; its pool of threads would only cost start-up.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
     from vhp_cli.config import load_settings
     from vhp_cli.model import find_model
 

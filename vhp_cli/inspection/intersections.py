@@ -13,7 +13,6 @@ from vhp_cli.kernels.spatial import (
     KIND_FOLD,
     KIND_TOUCH,
     Hits,
-    Tree,
 )
 from vhp_cli.measures import Defects, Place, Point, SelfIntersections
 from vhp_cli.mesh import Mesh
@@ -22,9 +21,11 @@ from vhp_cli.mesh import Mesh
 _RULE_OF_KIND = {KIND_CROSSING: "X001", KIND_COPLANAR: "X002", KIND_FOLD: "X003", KIND_TOUCH: "X004"}
 
 
-def self_intersections(mesh: Mesh, tree: Tree) -> tuple[SelfIntersections, Defects]:
-    """Return how many faces of a mesh meet where it does not join them, and the defects by rule code."""
-    hits = tree.self_hits()
+def self_intersections(mesh: Mesh, hits: Hits) -> tuple[SelfIntersections, Defects]:
+    """Return how many faces of a mesh meet where it does not join them, and the defects by rule code.
+
+    `hits` are those of the mesh with itself.
+    """
     record: SelfIntersections = {
         "faces": hits.faces_a,
         "pairs": hits.n_pairs,
@@ -41,8 +42,10 @@ def self_intersections(mesh: Mesh, tree: Tree) -> tuple[SelfIntersections, Defec
             listed = hits.pairs[hits.kinds == kind]
             places = _places(mesh, listed[:MAX_PLACES])
             defects[code] = {"count": int(hits.counts[kind]), "places": places}
-            if not hits.complete:
-                defects[code]["detail"] = "at least, as counting stopped there"
+    if not hits.complete:
+        # What was not counted may be worse than what was.
+        worst = defects.setdefault("X001", {"count": hits.n_pairs, "places": _places(mesh, hits.pairs[:MAX_PLACES])})
+        worst["detail"] = f"counting stopped after {hits.n_pairs:,} pairs of any kind"
     return record, defects
 
 

@@ -91,7 +91,7 @@ def _contact(a: Surface, b: Surface, record: PairMeasures) -> PairMeasures:
         record["overlap_mm3"] = abs(_volume(a)) if a.closed else 0.0
         return record
     overlap = overlap_volume(a.tree, b.tree) if a.solid and b.solid else math.nan
-    if hits.counts[KIND_CROSSING]:
+    if hits.counts[KIND_CROSSING] or not hits.complete:  # what was not counted may be worse than what was
         record["relation"] = "crossing"
     else:
         record["relation"], record["inside"] = _graded_contact(a, b, overlap)

@@ -68,9 +68,10 @@ def inspect_tissue(mesh: Mesh, limits: ShapeLimits, *, unreferenced: int = 0) ->
     topology = surface.topology(mesh.vertices, mesh.faces)
     quality = surface.quality(mesh.vertices, mesh.faces, topology.component, topology.n_components)
     tree = Tree(mesh.vertices, mesh.faces)
-    intersections, intersection_defects = self_intersections(mesh, tree)
+    hits = tree.self_hits()
+    intersections, intersection_defects = self_intersections(mesh, hits)
     smallest_fold, fold_defect = fold_measures(mesh, topology, limits.fold_deg)
-    inward = inward_defect(mesh, topology, quality, tree)
+    inward = inward_defect(mesh, topology, quality, tree, hits.pairs)
 
     defects: Defects = {
         **topology_defects(mesh, topology),

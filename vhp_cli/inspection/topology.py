@@ -56,12 +56,15 @@ def _holes(mesh: Mesh, topology: Topology) -> Defect:
     return {"count": len(edges), "places": places, "detail": f"{holes} {around.max():.4g} mm around"}
 
 
-def inward_defect(mesh: Mesh, topology: Topology, quality: Quality, tree: Tree) -> Defect | None:
+def inward_defect(
+    mesh: Mesh, topology: Topology, quality: Quality, tree: Tree, meeting: NDArray[np.int32]
+) -> Defect | None:
     """Return the closed parts that are turned inside out, None if there are none.
 
     A part inside an even number of other parts of the same tissue bounds it from outside and must have
     positive volume; inside an odd number it bounds a cavity and must have negative volume. Parts with
-    holes, or without a consistent orientation, have no outside and are left to the rules on these.
+    holes, without a consistent orientation, or that meet other parts (`meeting`, pairs of faces) have no
+    clear outside and are left to the rules on these.
     """
     n_parts = topology.n_components
     if n_parts == 0:
@@ -70,6 +73,8 @@ def inward_defect(mesh: Mesh, topology: Topology, quality: Quality, tree: Tree) 
     for faces in (topology.boundary_faces, topology.inconsistent_faces, topology.nonmanifold_edge_faces):
         labels = topology.component[faces]
         sound[labels[labels >= 0]] = False
+    ends = topology.component[meeting]
+    sound[ends[ends[:, 0] != ends[:, 1]]] = False
     volumes = quality.component_volume
     depths, undecided = np.zeros(n_parts, dtype=np.int32), np.zeros(n_parts, dtype=bool)
     if n_parts > 1:

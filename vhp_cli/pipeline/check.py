@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -146,14 +146,11 @@ class _Clock:
 
 def _run(executor: ThreadPoolExecutor, tasks: Iterable[_Task], step: str, progress: Progress | None) -> None:
     """Run tasks that keep their results themselves; the first unexpected exception ends the run."""
-    pending: set[Future[Any]] = {executor.submit(function, *arguments) for function, arguments in tasks}
-    total = len(pending)
-    while pending:
-        done, pending = wait(pending, return_when=FIRST_COMPLETED)
-        for future in done:
-            future.result()
+    futures = [executor.submit(function, *arguments) for function, arguments in tasks]
+    for done, future in enumerate(futures, start=1):
+        future.result()
         if progress:
-            progress(step, total - len(pending), total)
+            progress(step, done, len(futures))
 
 
 def _inspect(tissue: _Tissue, settings: Settings, cache: Cache) -> None:
