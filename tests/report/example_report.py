@@ -75,6 +75,7 @@ def tissue(name: str, file: str, kind: str, triangles: int, q_min: float, edge_m
             "folded": 0,
             "duplicate": 0,
             "touching": 0,
+            "complete": True,
         },
         "findings": [],
     }
