@@ -9,21 +9,18 @@ from pathlib import Path
 
 UNKNOWN = "tissue"
 
-_SEPARATORS = re.compile(r"[^0-9a-z]+")
-_CAMEL_CASE = re.compile(r"(?<=[a-z])(?=[A-Z])")
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[0-9]+|[^\W\d_A-Za-z]+")
 
 
-def words(name: str) -> str:
-    """Return `name` in lower case with every separator as one blank: ``Rib_left-3`` -> ``rib left 3``."""
-    return _SEPARATORS.sub(" ", _CAMEL_CASE.sub(" ", name).lower()).strip()
+def words(name: str) -> list[str]:
+    """Return the words of a name in lower case: ``Rib_left3`` and ``ribLeft-3`` both give ``rib left 3``."""
+    return [word.lower() for word in _WORD.findall(name)]
 
 
 @cache
-def _types() -> tuple[tuple[str, re.Pattern[str]], ...]:
+def _types() -> tuple[tuple[str, tuple[str, ...]], ...]:
     table = tomllib.loads(Path(__file__).with_name("data").joinpath("tissue_types.toml").read_text(encoding="utf-8"))
-    return tuple(
-        (row["name"], re.compile(rf"\b(?:{'|'.join(row['patterns'])})\b")) for row in table["type"]
-    )
+    return tuple((row["name"], tuple(row["phrases"])) for row in table["type"])
 
 
 def type_names() -> tuple[str, ...]:
@@ -33,5 +30,8 @@ def type_names() -> tuple[str, ...]:
 
 def guess_type(name: str) -> str:
     """Return the tissue type that `name` suggests, ``"tissue"`` if none does."""
-    text = words(name)
-    return next((kind for kind, pattern in _types() if pattern.search(text)), UNKNOWN)
+    text = f" {' '.join(words(name))} "
+    for kind, phrases in _types():
+        if any(f" {phrase[:-1]}" in text if phrase.endswith("*") else f" {phrase} " in text for phrase in phrases):
+            return kind
+    return UNKNOWN

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vhp_cli.inspection.places import MAX_PLACES, contact_points, point
+from vhp_cli.inspection.places import MAX_PLACES, point
 from vhp_cli.kernels.spatial import (
     KIND_COPLANAR,
     KIND_CROSSING,
@@ -13,6 +13,7 @@ from vhp_cli.kernels.spatial import (
     KIND_FOLD,
     KIND_TOUCH,
     Hits,
+    contact_points,
 )
 from vhp_cli.measures import Defects, Place, Point, SelfIntersections
 from vhp_cli.mesh import Mesh

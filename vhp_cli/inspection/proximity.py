@@ -18,6 +18,9 @@ from vhp_cli.mesh import Mesh
 # itself is decided exactly, the volume only grades contacts that cross nowhere transversally.
 OVERLAP_ROUNDING = 1e-6
 
+# Among so many of the worst contacts the one in the middle is shown.
+LISTED_CONTACTS = 512
+
 # Winding numbers between these can't be called inside or outside of an open surface.
 UNDECIDED_WINDING = (0.2, 0.8)
 
@@ -78,7 +81,7 @@ def inspect_pair(a: Surface, b: Surface, gap_search_mm: float) -> PairMeasures |
 
 
 def _contact(a: Surface, b: Surface, record: PairMeasures) -> PairMeasures:
-    hits = pair_hits(a.tree, b.tree)
+    hits = pair_hits(a.tree, b.tree, limit=LISTED_CONTACTS)
     where, faces = middle_contact(a.mesh, b.mesh, hits)
     record["min_gap_mm"] = 0.0
     record["points_mm"] = [where, where]

@@ -96,7 +96,8 @@ def _short_edges(mesh: Mesh, limit_mm: float) -> Defect:
     collapsed = (mesh.faces == mesh.faces[:, [1, 2, 0]]).any(axis=1)
     faces, starts = np.nonzero((lengths < limit_mm) & ~collapsed[:, None])
     edges = np.sort(np.column_stack((mesh.faces[faces, starts], mesh.faces[faces, (starts + 1) % 3])), axis=1)
-    edges, first = np.unique(edges, axis=0, return_index=True)
+    _, first = np.unique(edges[:, 0].astype(np.int64) * len(mesh.vertices) + edges[:, 1], return_index=True)
+    edges = edges[first]
     faces, lengths = faces[first], lengths[faces[first], starts[first]]
     worst = np.argsort(lengths, kind="stable")[:MAX_PLACES]
     places = at_edges(mesh, edges[worst], faces[worst])

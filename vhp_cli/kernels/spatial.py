@@ -56,6 +56,7 @@ _inside = function("vhp_inside", None, [_tree, pointer, i64, pointer])
 _component_depths = function("vhp_component_depths", ctypes.c_int, [_tree, pointer, i64, pointer, pointer])
 _winding_prepare = function("vhp_winding_prepare", None, [_tree, pointer])
 _winding = function("vhp_winding", None, [_tree, pointer, pointer, i64, f64, pointer])
+_contact_points = function("vhp_contact_points", None, [pointer, pointer, i64, pointer])
 _overlap_volume = function("vhp_overlap_volume", ctypes.c_int, [_tree, _tree, pointer])
 
 
@@ -347,6 +348,30 @@ def gap(a: Tree, b: Tree, limit: float = np.inf) -> Gap | None:
     if kind < 0:
         return None
     return Gap(kind, float(distance[0]), points, (int(faces[0]), int(faces[1])))
+
+
+def contact_points(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
+    """Return a point of contact of each pair of triangles that are known to meet, for display.
+
+    It is the mean of the points in which the edges of each pass through the other; where the triangles lie in one
+    plane, or rounding loses these points, the middle between their two nearest corners.
+
+    Parameters
+    ----------
+    first, second : (N, 3, 3) float64
+        Corners of the triangles, in mm.
+
+    Returns
+    -------
+    (N, 3) float64
+    """
+    first = np.ascontiguousarray(first, dtype=np.float64).reshape(-1, 3, 3)
+    second = np.ascontiguousarray(second, dtype=np.float64).reshape(-1, 3, 3)
+    if len(first) != len(second):
+        raise ValueError(f"{len(first)} triangles can't be paired with {len(second)}")
+    points = np.empty((len(first), 3))
+    _contact_points(address(first), address(second), len(first), address(points))
+    return points
 
 
 def overlap_volume(a: Tree, b: Tree) -> float:

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
-from vhp_cli.inspection.places import contact_points
+from vhp_cli.kernels.spatial import contact_points
 
 
 def test_known_points():
