@@ -2,39 +2,22 @@
 #include <math.h>
 #include <stdint.h>
 
+#include "vector.h"
 #include "vhp.h"
 
 #define SLACK 1e-9 /* of the face, so that rounding at its border loses no point */
-
-static inline void minus(const double *a, const double *b, double *difference)
-{
-    for (int d = 0; d < 3; d++)
-        difference[d] = a[d] - b[d];
-}
-
-static inline void cross(const double *a, const double *b, double *product)
-{
-    product[0] = a[1] * b[2] - a[2] * b[1];
-    product[1] = a[2] * b[0] - a[0] * b[2];
-    product[2] = a[0] * b[1] - a[1] * b[0];
-}
-
-static inline double dot(const double *a, const double *b)
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
 
 /* Add the points in which the edges of one triangle pass through the other to `sum`; returns their number. */
 static int add_edge_crossings(const double *edges, const double *face, double *sum)
 {
     double u[3], v[3], normal[3], heights[3], offset[3], product[3];
     int found = 0;
-    minus(face + 3, face, u);
-    minus(face + 6, face, v);
+    subtract(face + 3, face, u);
+    subtract(face + 6, face, v);
     cross(u, v, normal);
     const double size = dot(normal, normal);
     for (int k = 0; k < 3; k++) {
-        minus(edges + 3 * k, face, offset);
+        subtract(edges + 3 * k, face, offset);
         heights[k] = dot(offset, normal);
     }
     for (int k = 0; k < 3; k++) {
@@ -46,7 +29,7 @@ static int add_edge_crossings(const double *edges, const double *face, double *s
         for (int d = 0; d < 3; d++)
             point[d] = edges[3 * k + d] + (edges[3 * next + d] - edges[3 * k + d]) * share;
         /* Barycentric coordinates in the plane of the face. */
-        minus(point, face, offset);
+        subtract(point, face, offset);
         cross(offset, v, product);
         const double s = dot(product, normal) / size;
         cross(u, offset, product);
@@ -66,7 +49,7 @@ static void between_corners(const double *a, const double *b, double *point)
     double least = INFINITY, offset[3];
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) {
-            minus(a + 3 * i, b + 3 * j, offset);
+            subtract(a + 3 * i, b + 3 * j, offset);
             const double square = dot(offset, offset);
             if (!(square < least))
                 continue;

@@ -14,30 +14,13 @@
 
 #include <math.h>
 
+#include "vector.h"
+
 /* The distance from a plane, or of two lines, rules out a pair if it is larger by this margin. Even for
  * a sliver the plane contains the triangle up to rounding; but nearly parallel edges leave the direction
  * in which they are farthest apart uncertain, and are compared in full: below this sine squared. */
 #define SURELY (1 + 1e-6)
 #define NEARLY_PARALLEL 0.01
-
-static inline double dot(const double *a, const double *b)
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-static inline void subtract(const double *a, const double *b, double *difference)
-{
-    difference[0] = a[0] - b[0];
-    difference[1] = a[1] - b[1];
-    difference[2] = a[2] - b[2];
-}
-
-static inline void cross(const double *a, const double *b, double *product)
-{
-    product[0] = a[1] * b[2] - a[2] * b[1];
-    product[1] = a[2] * b[0] - a[0] * b[2];
-    product[2] = a[0] * b[1] - a[1] * b[0];
-}
 
 /* origin + t * direction */
 static inline void along(const double *origin, double t, const double *direction, double *point)

@@ -16,6 +16,7 @@
 #include <stdlib.h>
 
 #include "tree.h"
+#include "vector.h"
 #include "vhp.h"
 
 /* Length of the move relative to the largest coordinate: about 50000 units in the last place. */
@@ -48,12 +49,6 @@ static double triple(const double *u, const double *v, const double *w)
 {
     return u[0] * (v[1] * w[2] - v[2] * w[1]) + u[1] * (v[2] * w[0] - v[0] * w[2]) +
            u[2] * (v[0] * w[1] - v[1] * w[0]);
-}
-
-static void subtract(const double *a, const double *b, double *difference)
-{
-    for (int d = 0; d < 3; d++)
-        difference[d] = a[d] - b[d];
 }
 
 /* Six times the volume of the cone from the origin over the triangle (first corner of the face, x, y). */

@@ -3,6 +3,7 @@
 #include <stdint.h>
 #include <stdlib.h>
 
+#include "vector.h"
 #include "vhp.h"
 
 /* Indices into `totals`, mirrored in surface.py. */
@@ -20,22 +21,6 @@ enum {
 /* A triangle is degenerate if its area is below this share of its longest edge squared: the area of a triangle with
    collinear corners is not exactly 0 in floating point. */
 static const double DEGENERATE = 1e-12;
-
-static inline double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-
-static inline void cross(const double *a, const double *b, double *out)
-{
-    out[0] = a[1] * b[2] - a[2] * b[1];
-    out[1] = a[2] * b[0] - a[0] * b[2];
-    out[2] = a[0] * b[1] - a[1] * b[0];
-}
-
-static inline void subtract(const double *a, const double *b, double *out)
-{
-    out[0] = a[0] - b[0];
-    out[1] = a[1] - b[1];
-    out[2] = a[2] - b[2];
-}
 
 typedef struct {
     double q, r_out, area;

@@ -8,32 +8,26 @@ static inline int faces_meet(const Tree *tree, int64_t i, int64_t j)
 {
     static const int next[3] = {1, 2, 0}, before[3] = {2, 0, 1};
     const int32_t *f = tree->faces + 3 * i, *g = tree->faces + 3 * j;
-    int shared = 0, at_f = 0, at_g = 0, other_f = 0, other_g = 0;
-    for (int k = 0; k < 3; k++) {
-        const int32_t v = g[k];
-        const int place = v == f[0] ? 0 : v == f[1] ? 1 : v == f[2] ? 2 : -1;
-        if (place < 0)
-            continue;
-        if (shared++) {
-            other_f = place;
-            other_g = k;
-        } else {
-            at_f = place;
-            at_g = k;
-        }
+    unsigned same = 0; /* bit 3k + m: corner k of g is corner m of f */
+    for (int k = 0; k < 3; k++)
+        for (int m = 0; m < 3; m++)
+            same |= (unsigned)(f[m] == g[k]) << (3 * k + m);
+    if (!same) {
+        const double *a[3] = {corner(tree, i, 0), corner(tree, i, 1), corner(tree, i, 2)};
+        const double *b[3] = {corner(tree, j, 0), corner(tree, j, 1), corner(tree, j, 2)};
+        return vhp_triangles_meet(a, b);
     }
-    if (shared == 1)
+    const int first = __builtin_ctz(same), at_f = first % 3, at_g = first / 3;
+    const unsigned others = same & (same - 1);
+    if (!others)
         return triangles_at_vertex_meet(corner(tree, i, at_f), corner(tree, i, next[at_f]),
                                         corner(tree, i, before[at_f]), corner(tree, j, next[at_g]),
                                         corner(tree, j, before[at_g]));
-    if (shared == 2)
-        return triangles_at_edge_meet(corner(tree, i, at_f), corner(tree, i, other_f),
-                                      corner(tree, i, 3 - at_f - other_f), corner(tree, j, 3 - at_g - other_g));
-    if (shared == 3)
+    if (others & (others - 1))
         return KIND_DUPLICATE;
-    const double *a[3] = {corner(tree, i, 0), corner(tree, i, 1), corner(tree, i, 2)};
-    const double *b[3] = {corner(tree, j, 0), corner(tree, j, 1), corner(tree, j, 2)};
-    return vhp_triangles_meet(a, b);
+    const int second = __builtin_ctz(others), other_f = second % 3, other_g = second / 3;
+    return triangles_at_edge_meet(corner(tree, i, at_f), corner(tree, i, other_f), corner(tree, i, 3 - at_f - other_f),
+                                  corner(tree, j, 3 - at_g - other_g));
 }
 
 static inline void test_faces(const Tree *tree, Hits *hits, int64_t i, int64_t j)
