@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -147,11 +148,35 @@ def test_cache_sees_every_change(model):
 def test_a_damaged_cache_costs_time_only(model, monkeypatch):
     directory = Path(os.environ["VHP_CACHE_DIR"])
     first = run(model)[1]
-    for damage in (b"", b"{", b"[]", b'{"stamp": 1}'):
-        for file in directory.glob("*.json"):
-            file.write_bytes(damage)
+    whole = {file: file.read_bytes() for file in directory.glob("*.json")}
+    assert whole
+    for damage in (lambda d: b"", lambda d: d[:-1], lambda d: d[: len(d) // 2], lambda d: d.replace(b"true", b"null", 1)):
+        for file, data in whole.items():
+            file.write_bytes(damage(data))
         again = run(model)[1]
         assert again["tissues"] == first["tissues"]
+
+
+def test_an_edit_that_keeps_size_and_modification_time_is_seen(model):
+    path = model / "liver.stl"
+    old = time.time() - 1000
+    for file in model.iterdir():
+        os.utime(file, (old, old))
+    time.sleep(2.1)  # change times settle
+    assert run(model)[0] == 0
+    stat = path.stat()
+    data = bytearray(path.read_bytes())
+    data[84 + 12 : 84 + 24] = np.float32([0, 0, 0]).tobytes()
+    with path.open("r+b") as file:
+        file.write(data)
+    os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    assert run(model)[0] == 1
+
+
+def test_a_cache_that_cannot_be_written_costs_nothing(model, monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv("VHP_CACHE_DIR", str(tmp_path / "file"))
+    assert run(model)[0] == 0
 
 
 def test_reports_in_every_form(model, tmp_path):

@@ -16,9 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from vhp_cli import __version__
+from vhp_cli.errors import VhpError
 from vhp_cli.formats.atomic import write_atomically
 
 _KEEP_DAYS = 60
+_SETTLED_NS = 2 * 10**9
 
 
 def default_directory() -> Path:
@@ -80,21 +82,43 @@ class Cache:
             return
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            document = {"stamp": self._stamp, "sections": self._new}
-            write_atomically(self._path, json.dumps(document, separators=(",", ":")).encode())
+            body = json.dumps(self._new, separators=(",", ":")).encode()
+            write_atomically(self._path, self._head(body) + body)
             oldest = time.time() - _KEEP_DAYS * 86400
             for file in self._path.parent.glob("*.json"):
                 if file.stat().st_mtime < oldest:
                     file.unlink(missing_ok=True)
-        except OSError:
+        except (OSError, VhpError):
             return
 
     def _load(self, path: Path) -> dict[str, dict[str, Any]]:
         try:
-            document = json.loads(path.read_bytes())
-        except (OSError, ValueError):
+            data = path.read_bytes()
+        except OSError:
             return {}
-        if not isinstance(document, dict) or document.get("stamp") != self._stamp:
+        body = data[data.find(b"\n") + 1 :]
+        if data[: -len(body)] != self._head(body):
             return {}
-        sections = document.get("sections")
-        return sections if isinstance(sections, dict) else {}
+        sections: dict[str, dict[str, Any]] = json.loads(body)
+        return sections
+
+    def _head(self, body: bytes) -> bytes:
+        """Return the first line of the file: which code wrote it, and that the rest is whole."""
+        return f"vhp-cache {self._stamp} {hashlib.sha256(body).hexdigest()}\n".encode()
+
+
+def file_facts(path: Path) -> list[int] | None:
+    """Return what the file system knows of the contents of a file; None where that can't be trusted.
+
+    As in git: contents can't change without the change time, which no user can set; a file changed within the
+    last moments might change again within the resolution of the clock, and is not trusted.
+    """
+    if os.name == "nt":
+        return None
+    try:
+        facts = path.stat()
+    except OSError:
+        return None
+    if max(facts.st_mtime_ns, facts.st_ctime_ns) > time.time_ns() - _SETTLED_NS:
+        return None
+    return [facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns, facts.st_ctime_ns]

@@ -25,7 +25,7 @@ from vhp_cli.inspection.tissue import ShapeLimits, Surface, inspect_nothing, ins
 from vhp_cli.measures import Defects, Finding, PairRecord, Place, Report, TissueMeasures, TissueRecord
 from vhp_cli.mesh import Mesh
 from vhp_cli.model import Model, TissueFile
-from vhp_cli.pipeline.cache import Cache
+from vhp_cli.pipeline.cache import Cache, file_facts
 
 SCHEMA = "vhp-report/1"
 
@@ -157,11 +157,12 @@ def _inspect(tissue: _Tissue, settings: Settings, cache: Cache) -> None:
     name = tissue.source.name
     limits = ShapeLimits(*(settings.rule(code, name).limit or 0.0 for code in ("Q001", "Q002", "X005")))
     try:
-        data = formats.read_bytes(tissue.source.path)
-        tissue.sha256 = formats.sha256(data)
+        tissue.sha256, data = _identify(tissue.source.path, cache)
         key = f"{tissue.sha256} {tissue.source.path.suffix.lower()} {_geometry_key(settings)} {limits}"
         kept = cache.get("tissues", key)
         if kept is None:
+            if data is None:
+                data = _unchanged_bytes(tissue)
             reading = formats.parse_mesh(tissue.source.path, data, weld_tolerance=_weld(settings))
             measures, defects = inspect_nothing(), {}
             if len(reading.mesh.faces):
@@ -177,18 +178,37 @@ def _inspect(tissue: _Tissue, settings: Settings, cache: Cache) -> None:
     except UnreadableFileError as error:
         where = f" ({error.where})" if error.where else ""
         tissue.issues = [Issue("F001", 1, f"{error.message}{where}" + (f"; {error.hint}" if error.hint else ""))]
-    except (MemoryError, VhpError, OSError) as error:
+    except Exception as error:
+        # Whatever goes wrong with one tissue, the others are still checked, and the exit code says so.
         tissue.failed = True
         tissue.issues = [Issue("F012", 1, f"{type(error).__name__}: {error}")]
+
+
+def _identify(path: Path, cache: Cache) -> tuple[str, bytes | None]:
+    """Return the SHA-256 of a file and its contents; None if these did not have to be read."""
+    facts = file_facts(path)
+    known = cache.get("files", str(path))
+    if facts is not None and known is not None and known["facts"] == facts:
+        return known["sha256"], None
+    data = formats.read_bytes(path)
+    sha256 = formats.sha256(data)
+    if facts is not None:
+        cache.put("files", str(path), {"facts": facts, "sha256": sha256})
+    return sha256, data
+
+
+def _unchanged_bytes(tissue: _Tissue) -> bytes:
+    data = formats.read_bytes(tissue.source.path)
+    if formats.sha256(data) != tissue.sha256:
+        raise VhpError(f"{tissue.source.file} changed while it was being checked", hint="run the check again")
+    return data
 
 
 def _surface(tissue: _Tissue, settings: Settings) -> Surface:
     """Return the surface of a tissue, read again if its measures came from the cache."""
     with tissue.lock:
         if tissue.surface is None:
-            data = formats.read_bytes(tissue.source.path)
-            if formats.sha256(data) != tissue.sha256:
-                raise VhpError(f"{tissue.source.file} changed while it was being checked", hint="run the check again")
+            data = _unchanged_bytes(tissue)
             reading = formats.parse_mesh(tissue.source.path, data, weld_tolerance=_weld(settings))
             tissue.surface = restore_surface(_in_mm(reading.mesh, settings), tissue.measures)
         return tissue.surface
@@ -223,7 +243,7 @@ def _check_pairs(
                 cache.put("pairs", key, kept)
             if kept["measures"] is not None:
                 results[index] = {**names, **kept["measures"]}
-        except (MemoryError, VhpError, OSError) as error:
+        except Exception as error:
             results[index] = (names["a"], names["b"], f"{type(error).__name__}: {error}")
 
     def some(indices: Sequence[int]) -> None:
