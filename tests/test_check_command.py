@@ -104,7 +104,10 @@ def test_unreadable_file_is_a_finding_and_the_rest_is_checked(model):
     (model / "kidney.stl").write_bytes(b"")
     code, report = run(model)
     assert code == 1
-    assert {finding["tissues"][0] for finding in report["findings"] if finding["rule"] in ("F001", "F005")} == {"heart", "kidney"}
+    assert {finding["tissues"][0] for finding in report["findings"] if finding["rule"] in ("F001", "F005")} == {
+        "heart",
+        "kidney",
+    }
     assert report["summary"]["tissues"] == 5
     liver = next(tissue for tissue in report["tissues"] if tissue["name"] == "liver")
     assert liver["outward"]
@@ -119,7 +122,14 @@ def test_nothing_readable_is_a_usage_error(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     "arguments",
-    [["nowhere"], ["--profile", "lenient", "."], ["--min-q", "2", "."], ["--select", "Z", "."], ["--config", "no.toml", "."], []],
+    [
+        ["nowhere"],
+        ["--profile", "lenient", "."],
+        ["--min-q", "2", "."],
+        ["--select", "Z", "."],
+        ["--config", "no.toml", "."],
+        [],
+    ],
 )
 def test_wrong_usage(arguments, capsys):
     assert main(["check", *arguments]) == 2
@@ -150,7 +160,12 @@ def test_a_damaged_cache_costs_time_only(model, monkeypatch):
     first = run(model)[1]
     whole = {file: file.read_bytes() for file in directory.glob("*.json")}
     assert whole
-    for damage in (lambda d: b"", lambda d: d[:-1], lambda d: d[: len(d) // 2], lambda d: d.replace(b"true", b"null", 1)):
+    for damage in (
+        lambda d: b"",
+        lambda d: d[:-1],
+        lambda d: d[: len(d) // 2],
+        lambda d: d.replace(b"true", b"null", 1),
+    ):
         for file, data in whole.items():
             file.write_bytes(damage(data))
         again = run(model)[1]
@@ -262,7 +277,7 @@ def test_dry_run_lists_tissues(model):
 
 def test_memory_limit_is_an_error_of_that_tissue_alone(model):
     """A tissue that needs more memory than there is fails; the others are still checked."""
-    resource = pytest.importorskip("resource")
+    pytest.importorskip("resource")
     rows = 400
     x, y = np.meshgrid(np.arange(float(rows)), np.arange(float(rows)))
     corner = np.arange(rows * rows).reshape(rows, rows)[:-1, :-1].ravel()

@@ -31,7 +31,9 @@ def test_no_profile_lets_an_open_or_self_crossing_surface_pass(profile):
 
 
 def test_command_line_beats_file_beats_profile(tmp_path):
-    config = write(tmp_path, 'profile = "hfss"\nunits = "cm"\n[rules]\nP005 = 0.5\nQ002 = { limit = 0.2 }\nT007 = "off"\n')
+    config = write(
+        tmp_path, 'profile = "hfss"\nunits = "cm"\n[rules]\nP005 = 0.5\nQ002 = { limit = 0.2 }\nT007 = "off"\n'
+    )
     settings = load_settings(config=config, limits={"P005": 0.25})
     assert settings.profile == "hfss"
     assert settings.units == "cm"

@@ -63,7 +63,9 @@ def compare(path, oracle):
 
 # The oracle leaves its files to the garbage collector.
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize("corpus", ["abdomen_ct", "bones", "broken", "head_bp3d", "head_shells", "thorax_r3", "vhf_organs"])
+@pytest.mark.parametrize(
+    "corpus", ["abdomen_ct", "bones", "broken", "head_bp3d", "head_shells", "thorax_r3", "vhf_organs"]
+)
 def test_every_mesh_measures_as_the_oracle_says(corpus, shared_data, oracle):
     paths = sorted((shared_data / corpus).glob("*.stl"))
     assert paths

@@ -220,4 +220,3 @@ def _traceback_if_wanted(settings: dict[str, Any]) -> bool:
 
         _say(traceback.format_exc().rstrip())
     return wanted
-

@@ -275,7 +275,7 @@ def _overrides(table: Mapping[str, Any], where: str) -> tuple[TissueOverride, ..
         _refuse_unknown(row, {"match", "type", "rules"}, place)
         match, kind = _string(row, "match", place), _string(row, "type", place)
         if not match:
-            raise UsageError(f"{place}: needs match = \"pattern\"")
+            raise UsageError(f'{place}: needs match = "pattern"')
         if kind is not None:
             _one_of(kind, type_names(), f"{place}.type")
         overrides.append(TissueOverride(match, kind, _rule_changes(row.get("rules", {}), f"{place}.rules")))

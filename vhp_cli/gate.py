@@ -86,14 +86,16 @@ def model_findings(
 ) -> list[Finding]:
     """Return what is wrong with the model as a whole; `unread` are mesh files that were left out."""
     findings = _kept(settings, [], _model(tissues, unread, settings))
-    inside = {(pair["a"], pair["b"]) if pair["inside"] == "a" else (pair["b"], pair["a"]) for pair in pairs if pair["inside"]}
+    inside = {
+        (pair["a"], pair["b"]) if pair["inside"] == "a" else (pair["b"], pair["a"]) for pair in pairs if pair["inside"]
+    }
     names = [tissue["name"] for tissue in tissues]
     for declared in settings.nested:
         for inner in names:
             for outer in names:
                 if inner != outer and declared.matches(inner, outer) and (inner, outer) not in inside:
-                    broken = ("P006", 1, f"{inner} is declared to lie inside {outer}, and does not", [])
-                    findings += _kept(settings, [inner, outer], [broken])
+                    message = "the first is declared to lie inside the second, and does not"
+                    findings += _kept(settings, [inner, outer], [("P006", 1, message, [])])
     return findings
 
 

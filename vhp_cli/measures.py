@@ -49,6 +49,8 @@ Defects = dict[str, Defect]
 
 
 class Topology(TypedDict):
+    """How the faces of a tissue are joined."""
+
     boundary_edges: int
     boundary_loops: int
     nonmanifold_edges: int
@@ -73,12 +75,16 @@ class Quality(TypedDict):
 
 
 class Spread(TypedDict):
+    """Smallest, mean and largest value."""
+
     min: float
     mean: float
     max: float
 
 
 class Bounds(TypedDict):
+    """Corners of the box that holds a tissue."""
+
     min: Point
     max: Point
 
@@ -147,11 +153,15 @@ class PairMeasures(TypedDict):
 
 
 class PairRecord(PairMeasures):
+    """One pair of the report."""
+
     a: str
     b: str
 
 
 class Summary(TypedDict):
+    """The model in a few numbers."""
+
     passed: bool
     tissues: int
     triangles: int

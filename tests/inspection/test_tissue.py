@@ -90,7 +90,7 @@ def test_inside_out_and_cavities():
     assert inspect(nested)[1] == {} and inspect(nested)[0]["outward"]
     side_by_side = joined(sphere(10), moved(sphere(10), (30, 0, 0)))
     assert inspect(side_by_side)[1] == {}
-    one_wrong, defects = inspect(joined(sphere(10), moved(flipped(sphere(5)), (30, 0, 0))))
+    _, defects = inspect(joined(sphere(10), moved(flipped(sphere(5)), (30, 0, 0))))
     assert defects["T005"]["count"] == 1 and defects["T005"]["places"][0]["xyz_mm"][0] > 20
 
 
@@ -123,7 +123,7 @@ def test_two_boxes_at_an_edge_and_at_a_corner():
     edge, defects = inspect(welded(box(), box((10, 10, 0), (20, 20, 10))))
     assert defects["T002"]["count"] == 1 and edge["topology"]["nonmanifold_vertices"] == 2
     assert edge["closed"] and not edge["manifold"] and not edge["outward"]
-    corner, defects = inspect(welded(box(), box((10, 10, 10), (20, 20, 20))))
+    _, defects = inspect(welded(box(), box((10, 10, 10), (20, 20, 20))))
     assert set(defects) == {"T003"} and defects["T003"]["count"] == 1
     assert defects["T003"]["places"][0]["xyz_mm"] == [10, 10, 10]
     # Three faces at an edge: no way to tell inside from outside.

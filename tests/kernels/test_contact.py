@@ -10,7 +10,7 @@ from vhp_cli.kernels.spatial import contact_points
 def test_known_points():
     floor = np.array([[0, 0, 0], [10, 0, 0], [0, 10, 0]], float)
     spike = np.array([[2, 2, -3], [2, 2, 3], [20, 2, 40]], float)
-    flat = floor + [1, 1, 0]
+    flat = floor + np.array([1, 1, 0])
     corner = np.array([[10, 0, 0], [20, 0, 0], [20, 5, 5]], float)
     points = contact_points(np.array([floor, floor, floor]), np.array([spike, flat, corner]))
     assert abs(points[0, 2]) < 1e-12 and 2 <= points[0, 0] < 4 and abs(points[0, 1] - 2) < 1e-12

@@ -48,8 +48,8 @@ def check(
     output: Path | None,
     config: Path | None,
     profile: str | None,
-    select: tuple[str, ...],
-    ignore: tuple[str, ...],
+    select: list[str],
+    ignore: list[str],
     min_q: float | None,
     min_edge: float | None,
     gap: float | None,
@@ -133,8 +133,10 @@ def _target(report: str, form: str | None) -> tuple[Path | None, str]:
     path = Path(report)
     known = REPORT_SUFFIXES.get(path.suffix.lower())
     if known is None:
-        raise UsageError(f"--report {report}: no report format has the suffix {path.suffix!r}",
-                         hint=f"suffixes: {' '.join(REPORT_SUFFIXES)}")
+        raise UsageError(
+            f"--report {report}: no report format has the suffix {path.suffix!r}",
+            hint=f"suffixes: {' '.join(REPORT_SUFFIXES)}",
+        )
     return path, known
 
 
@@ -166,7 +168,7 @@ def _show(report: Report, form: str, base: str, *, nesting: bool, quiet: bool = 
         print_table(report, Console(), verbose=verbose, nesting=nesting)
 
 
-class _progress:  # noqa: N801 - reads as a function at its one use
+class _progress:
     """A progress bar on stderr, shown only to a person who has waited for a moment."""
 
     def __init__(self, *, quiet: bool) -> None:

@@ -22,14 +22,8 @@ FORMATS = ("table", "json", "jsonl", "csv", "markdown", "junit", "sarif", "githu
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
-class CommaList(click.ParamType):
-    """A list of texts, separated by commas."""
-
-    name = "list"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[str]:
-        """Split `value` at commas."""
-        return [part.strip() for part in value.split(",") if part.strip()] if isinstance(value, str) else list(value)
+def _comma_list(ctx: click.Context, parameter: click.Parameter, value: str) -> list[str]:
+    return [part.strip() for part in value.split(",") if part.strip()]
 
 
 def _combined(*decorators: Decorator) -> Decorator:
@@ -42,9 +36,7 @@ def _combined(*decorators: Decorator) -> Decorator:
 
 
 model_options = _combined(
-    click.argument(
-        "model", nargs=-1, required=True, metavar="MODEL...", type=click.Path(path_type=Path)
-    ),
+    click.argument("model", nargs=-1, required=True, metavar="MODEL...", type=click.Path(path_type=Path)),
     click.option("--recursive", is_flag=True, help="Search the directory to any depth."),
     click.option(
         "--units",
@@ -66,8 +58,8 @@ judging_options = _combined(
         help="Settings file. [default: vhp.toml in MODEL, else [tool.vhp] of its pyproject.toml]",
     ),
     click.option("--profile", metavar="NAME", help="What the model must be fit for: strict, hfss, cst, print."),
-    click.option("--select", type=CommaList(), default=(), metavar="RULES", help="Only these rules: X,T001,..."),
-    click.option("--ignore", type=CommaList(), default=(), metavar="RULES", help="Leave these rules out."),
+    click.option("--select", callback=_comma_list, default="", metavar="RULES", help="Only these rules: X,T001,..."),
+    click.option("--ignore", callback=_comma_list, default="", metavar="RULES", help="Leave these rules out."),
     click.option("--min-q", type=click.FloatRange(0, 1), metavar="Q", help="Limit of Q001, q = 2 r_in / r_out."),
     click.option("--min-edge", type=click.FloatRange(min=0), metavar="MM", help="Limit of Q002, shortest edge."),
     click.option("--gap", type=click.FloatRange(min=0), metavar="MM", help="Limit of P005, gap between tissues."),

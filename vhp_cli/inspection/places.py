@@ -41,4 +41,3 @@ def at_edges(mesh: Mesh, edges: NDArray[np.int32], faces: Iterable[int]) -> list
     """Return the midpoints of edges (k, 2) as places, each with one of its faces."""
     midpoints = mesh.vertices[edges].mean(axis=1)
     return [{"xyz_mm": point(xyz), "face": int(face)} for xyz, face in zip(midpoints, faces, strict=True)]
-

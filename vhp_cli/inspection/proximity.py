@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +104,7 @@ def _contact(a: Surface, b: Surface, record: PairMeasures) -> PairMeasures:
     return record
 
 
-def _graded_contact(a: Surface, b: Surface, overlap: float) -> tuple[Relation, str]:
+def _graded_contact(a: Surface, b: Surface, overlap: float) -> tuple[Relation, Literal["a", "b", ""]]:
     """Tell touching from crossing where every contact is degenerate (vertex, edge or plane on plane)."""
     if math.isnan(overlap):
         return "touching", ""

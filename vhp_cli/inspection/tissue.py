@@ -48,7 +48,9 @@ class Surface:
     representatives: np.ndarray
 
 
-def inspect_tissue(mesh: Mesh, limits: ShapeLimits, *, unreferenced: int = 0) -> tuple[TissueMeasures, Defects, Surface]:
+def inspect_tissue(
+    mesh: Mesh, limits: ShapeLimits, *, unreferenced: int = 0
+) -> tuple[TissueMeasures, Defects, Surface]:
     """Measure one surface completely.
 
     Parameters

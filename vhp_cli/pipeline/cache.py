@@ -60,7 +60,9 @@ class Cache:
         self._changed = False
         if directory is not None:
             identity = "\n".join(sorted(str(path.resolve()) for path in paths))
-            self._path = directory / f"{hashlib.sha256(identity.encode(errors='surrogateescape')).hexdigest()[:32]}.json"
+            self._path = (
+                directory / f"{hashlib.sha256(identity.encode(errors='surrogateescape')).hexdigest()[:32]}.json"
+            )
             self._old = self._load(self._path)
 
     def get(self, section: str, key: str) -> Any:

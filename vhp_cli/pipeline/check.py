@@ -18,11 +18,11 @@ import numpy as np
 from vhp_cli import __version__, formats
 from vhp_cli.config import UNITS, Settings
 from vhp_cli.errors import UnreadableFileError, UsageError, VhpError
-from vhp_cli.gate import model_findings, failure_findings, pair_findings, sort_findings, tissue_findings
+from vhp_cli.gate import failure_findings, model_findings, pair_findings, sort_findings, tissue_findings
 from vhp_cli.inspection.nesting import nesting
 from vhp_cli.inspection.proximity import inspect_pair, near_pairs
 from vhp_cli.inspection.tissue import ShapeLimits, Surface, inspect_nothing, inspect_tissue, restore_surface
-from vhp_cli.measures import Defects, Finding, PairRecord, Place, Report, TissueMeasures, TissueRecord
+from vhp_cli.measures import Defects, Finding, PairMeasures, PairRecord, Place, Report, TissueMeasures, TissueRecord
 from vhp_cli.mesh import Mesh
 from vhp_cli.model import Model, TissueFile
 from vhp_cli.pipeline.cache import Cache, file_facts
@@ -164,7 +164,7 @@ def _inspect(tissue: _Tissue, settings: Settings, cache: Cache) -> None:
             if data is None:
                 data = _unchanged_bytes(tissue)
             reading = formats.parse_mesh(tissue.source.path, data, weld_tolerance=_weld(settings))
-            measures, defects = inspect_nothing(), {}
+            measures, defects = inspect_nothing(), Defects()
             if len(reading.mesh.faces):
                 mesh = _in_mm(reading.mesh, settings)
                 measures, defects, tissue.surface = inspect_tissue(mesh, limits, unreferenced=reading.unreferenced)
@@ -233,18 +233,17 @@ def _check_pairs(
 
     def one(index: int) -> None:
         a, b = (solid[tissue] for tissue in candidates[index])
-        names = {"a": a.source.name, "b": b.source.name}
         key = f"{a.sha256} {b.sha256} {_geometry_key(settings)} {search!r}"
         try:
             kept = cache.get("pairs", key)
             if kept is None:
-                measures = inspect_pair(_surface(a, settings), _surface(b, settings), search)
-                kept = {"measures": measures}
+                kept = {"measures": inspect_pair(_surface(a, settings), _surface(b, settings), search)}
                 cache.put("pairs", key, kept)
-            if kept["measures"] is not None:
-                results[index] = {**names, **kept["measures"]}
+            measures: PairMeasures | None = kept["measures"]
+            if measures is not None:
+                results[index] = {"a": a.source.name, "b": b.source.name, **measures}
         except Exception as error:
-            results[index] = (names["a"], names["b"], f"{type(error).__name__}: {error}")
+            results[index] = (a.source.name, b.source.name, f"{type(error).__name__}: {error}")
 
     def some(indices: Sequence[int]) -> None:
         for index in indices:

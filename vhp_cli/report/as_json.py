@@ -63,7 +63,9 @@ def _lines(value: dict[str, object]) -> Iterator[str]:
         yield f"{opening}\n  {_encode(key)}: "
         opening = ","
         if isinstance(item, dict) and item:
-            members = (f"{_encode(name)}: {_encode(_sorted_deeply(member))}" for name, member in _in_order(item).items())
+            members = (
+                f"{_encode(name)}: {_encode(_sorted_deeply(member))}" for name, member in _in_order(item).items()
+            )
             yield "{\n    " + ",\n    ".join(members) + "\n  }"
         elif isinstance(item, (list, tuple)) and item:
             yield "[\n    " + ",\n    ".join(_encode(_sorted_deeply(record)) for record in item) + "\n  ]"
