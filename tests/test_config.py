@@ -67,7 +67,21 @@ def test_tissue_overrides_apply_to_matching_names_and_the_milder_one_to_pairs(tm
 def test_select_and_ignore_take_prefixes():
     settings = load_settings(select=["T", "X001"], ignore=["T007"])
     on = {code for code, setting in settings.rules.items() if setting.level}
-    assert on == {code for code in RULES if code.startswith("T")} - {"T007"} | {"X001"}
+    files = {code for code, rule in RULES.items() if code.startswith("F") and rule.level == "error"}
+    assert on == {code for code in RULES if code.startswith("T")} - {"T007"} | {"X001"} | files
+    assert load_settings(select=["X"], ignore=["F"]).rule("F001").level is None
+
+
+def test_nan_is_no_limit():
+    for options in (
+        {"limits": {"P005": float("nan")}},
+        {"weld_tolerance_mm": float("nan")},
+        {"gap_search_mm": float("nan")},
+    ):
+        with pytest.raises(UsageError, match="nan"):
+            load_settings(**options)
+    with pytest.raises(UsageError, match="finite"):
+        load_settings(weld_tolerance_mm=float("inf"))
 
 
 @pytest.mark.parametrize(

@@ -167,7 +167,8 @@ def load_settings(
     profile, units, weld_tolerance_mm, gap_search_mm, recursive
         As on the command line; None leaves the choice to the configuration.
     select, ignore
-        Rule codes or prefixes of codes; with `select` every other rule is off.
+        Rule codes or prefixes of codes; with `select` every other rule is off but those on files that
+        can't be read as they should.
     limits
         Limits by rule code.
 
@@ -190,14 +191,18 @@ def load_settings(
         for code, change in _rule_changes(source.get("rules", {}), f"{place}: rules").items():
             rules[code] = change.apply(rules[code])
     for code, limit in (limits or {}).items():
-        rules[code] = replace(rules[code], limit=limit)
+        rules[code] = replace(rules[code], limit=_not_nan(limit, f"limit of {code}"))
     selected = _codes([*select] or _strings(table, "select", where), "select")
+    if selected:
+        # What could not be read can't pass, whatever is looked for; --ignore says so if it is meant.
+        selected |= {code for code, rule in RULES.items() if code.startswith("F") and rule.level == "error"}
     ignored = _codes([*_strings(table, "ignore", where), *ignore], "ignore")
     for code, setting in rules.items():
         if (selected and code not in selected) or code in ignored:
             rules[code] = replace(setting, level=None)
         elif code in selected and setting.level is None:
             rules[code] = replace(setting, level="warning")
+    search = gap_search_mm if gap_search_mm is not None else _number(table, "gap-search", where)
     unit = units or _string(table, "units", where) or "mm"
     if unit not in UNITS:
         raise UsageError(f"{where}: units: {unit!r} is not known", hint=f"units: {', '.join(UNITS)}")
@@ -208,8 +213,10 @@ def load_settings(
         nested=_pairs(table, "nested", ("inner", "outer"), where),
         may_touch=_pairs(table, "may-touch", ("a", "b"), where),
         units=unit,
-        weld_tolerance_mm=_first(weld_tolerance_mm, _number(table, "weld-tolerance", where), 0.0),
-        gap_search_mm=gap_search_mm if gap_search_mm is not None else _number(table, "gap-search", where),
+        weld_tolerance_mm=_finite(
+            _first(weld_tolerance_mm, _number(table, "weld-tolerance", where), 0.0), "weld tolerance"
+        ),
+        gap_search_mm=None if search is None else _not_nan(search, "gap search"),
         recursive=recursive or bool(table.get("recursive", False)),
     )
 
@@ -326,6 +333,19 @@ def _number(table: Mapping[str, Any], key: str, where: str) -> float | None:
 
 def _first(*values: float | None) -> float:
     return next(value for value in values if value is not None)
+
+
+def _not_nan(value: float, what: str) -> float:
+    # Every comparison with NaN is false, so that no limit would ever be broken.
+    if math.isnan(value):
+        raise UsageError(f"{what}: expected a number, not {value}")
+    return value
+
+
+def _finite(value: float, what: str) -> float:
+    if not math.isfinite(value):
+        raise UsageError(f"{what}: expected a finite number, not {value}")
+    return value
 
 
 def _codes(chosen: Iterable[str], where: str) -> set[str]:
