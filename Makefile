@@ -48,7 +48,7 @@ demo: $(VENV)/.package ## make two small models, one sound and one with defects,
 test: $(VENV)/.test system-libraries ## run every test
 	$(BIN)/python -m pytest --slow $(PYTEST_ARGS)
 
-test-fast: $(VENV)/.test ## run the tests but for the slow ones
+test-fast: $(VENV)/.test system-libraries ## run the tests but for the slow ones
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
 
 kernels: ## compile the C kernels in place (needs a C compiler, or ziglang)

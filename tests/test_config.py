@@ -99,6 +99,7 @@ def test_nan_is_no_limit():
         ("[rules]\nQ001 = { lmit = 1 }", "'limit'"),
         ("[[tissue]]\ntype = 'bone'", "match"),
         ("[[tissue]]\nmatch = '*'\ntype = 'bones'", "'bone'"),
+        ("recursive = 'yes'", "true or false"),
         ("tissue = 3", "[[tissue]]"),
         ("[[nested]]\ninner = 'a'", "outer"),
         ("select = ['Z']", "'Z'"),

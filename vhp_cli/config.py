@@ -217,7 +217,7 @@ def load_settings(
             _first(weld_tolerance_mm, _number(table, "weld-tolerance", where), 0.0), "weld tolerance"
         ),
         gap_search_mm=None if search is None else _not_nan(search, "gap search"),
-        recursive=recursive or bool(table.get("recursive", False)),
+        recursive=recursive or _flag(table, "recursive", where),
     )
 
 
@@ -329,6 +329,13 @@ def _number(table: Mapping[str, Any], key: str, where: str) -> float | None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not value >= 0:
         raise UsageError(f"{where}: {key}: expected a number that is not negative, not {value!r}")
     return float(value)
+
+
+def _flag(table: Mapping[str, Any], key: str, where: str) -> bool:
+    value = table.get(key, False)
+    if not isinstance(value, bool):
+        raise UsageError(f"{where}: {key}: expected true or false, not {value!r}")
+    return value
 
 
 def _first(*values: float | None) -> float:
