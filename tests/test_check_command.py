@@ -99,6 +99,39 @@ def test_gap_limit(model):
     assert all(pair["min_gap_mm"] is not None for pair in wide["pairs"]) and len(wide["pairs"]) == 6
 
 
+def test_gap_search_never_looks_less_far_than_the_rule(model):
+    write_mesh(model / "stone.stl", box((-12, 3.5, -3), (-6, 9, 3)))
+    assert run(model)[0] == 1
+    code, report = run(model, "--gap-search", "0.1")
+    assert code == 1 and rules(report) == {"P005"}
+
+
+def test_gap_of_zero_is_below_any_limit(model):
+    from vhp_cli.config import load_settings
+    from vhp_cli.gate import pair_findings
+
+    pair = run(model)[1]["pairs"][0] | {"relation": "disjoint", "min_gap_mm": 0.0}
+    assert [finding["rule"] for finding in pair_findings(pair, load_settings())] == ["P005"]
+
+
+def test_faces_of_pairs_are_numbered_as_in_the_file(model):
+    quads = "".join(f"v {x} {y} {z}\n" for z in (0, 6) for y in (0, 6) for x in (-12, -6))
+    quads += "f 1 3 4 2\nf 5 6 8 7\nf 1 2 6 5\nf 3 7 8 4\nf 1 5 7 3\nf 2 4 8 6\n"
+    (model / "stone.obj").write_text(quads.replace("v -12 0", "v -12 3.5").replace("v -6 0", "v -6 3.5"))
+    for _ in range(2):  # the second time from the cache
+        _, report = run(model, "--gap-search", "5")
+        pair = next(p for p in report["pairs"] if "stone" in (p["a"], p["b"]) and p["min_gap_mm"])
+        assert pair["faces"][[pair["a"], pair["b"]].index("stone")] < 6
+
+
+def test_same_bytes_in_two_formats_are_two_tissues(model):
+    """The cache tells files apart by content and format."""
+    mesh = (model / "liver.stl").read_bytes()
+    (model / "copy.obj").write_bytes(mesh)
+    first, second = run(model)[1], run(model)[1]
+    assert first["tissues"] == second["tissues"] and first["pairs"] == second["pairs"]
+
+
 def test_unreadable_file_is_a_finding_and_the_rest_is_checked(model):
     (model / "heart.stl").write_bytes(b"this is no mesh")
     (model / "kidney.stl").write_bytes(b"")
@@ -246,12 +279,21 @@ def test_declared_nesting_and_contact(model):
     )
     code, report = run(model)
     assert code == 1 and rules(report) == {"P006"} and len(report["findings"]) == 1
+    (model / "vhp.toml").write_text('[[nested]]\ninner = "livr"\nouter = "skin"\n')
+    code, report = run(model)
+    assert code == 1 and rules(report) == {"P006"} and "'livr'" in report["findings"][0]["message"]
     (model / "vhp.toml").write_text('[[may-touch]]\na = "disc"\nb = "optic*"\n')
     write_mesh(model / "disc.stl", box((-12, 3, -3), (-6, 8, 3)))
     assert run(model)[0] == 0
     (model / "vhp.toml").unlink()
     code, report = run(model)
     assert code == 1 and rules(report) == {"P003"}
+
+
+def test_patterns_that_match_nothing_are_named(model):
+    (model / "vhp.toml").write_text('[[tissue]]\nmatch = "livr*"\n[[may-touch]]\na = "liver"\nb = "spleem"\n')
+    result = CliRunner().invoke(check, [str(model)])
+    assert result.exit_code == 0 and "'livr*'" in result.stderr and "'spleem'" in result.stderr
 
 
 def test_inputs_are_never_touched(model):

@@ -72,6 +72,12 @@ def test_select_and_ignore_take_prefixes():
     assert load_settings(select=["X"], ignore=["F"]).rule("F001").level is None
 
 
+def test_a_selected_rule_is_on(tmp_path):
+    config = write(tmp_path, "ignore = ['P']\n[rules]\nP001 = 'off'")
+    assert load_settings(config=config, select=["P001"]).rule("P001").level == "error"
+    assert load_settings(config=config).rule("P001").level is None
+
+
 def test_nan_is_no_limit():
     for options in (
         {"limits": {"P005": float("nan")}},
@@ -96,6 +102,8 @@ def test_nan_is_no_limit():
         ("[rules]\nT001 = { limit = 3 }", "no limit"),
         ("[rules]\nQ001 = { limit = -1 }", "negative"),
         ("[rules]\nQ001 = { limit = nan }", "negative"),
+        ("[rules]\nP005 = inf", "finite"),
+        ("profile = ''", "no profile"),
         ("[rules]\nQ001 = { lmit = 1 }", "'limit'"),
         ("[[tissue]]\ntype = 'bone'", "match"),
         ("[[tissue]]\nmatch = '*'\ntype = 'bones'", "'bone'"),

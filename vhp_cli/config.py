@@ -61,7 +61,7 @@ class PairPattern:
 
     def matches(self, a: str, b: str) -> bool:
         """Tell if `a` matches the first pattern and `b` the second, case aside."""
-        return _matches(a, self.first) and _matches(b, self.second)
+        return matches(a, self.first) and matches(b, self.second)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,14 +94,21 @@ class Settings:
     def tissue_type(self, name: str) -> str:
         """Return the type set for a tissue, else the one its name suggests."""
         for override in reversed(self.tissues):
-            if override.type and _matches(name, override.match):
+            if override.type and matches(name, override.match):
                 return override.type
         return guess_type(name)
+
+    def idle_patterns(self, names: Iterable[str]) -> list[str]:
+        """Return the patterns of ``[[tissue]]`` and ``[[may-touch]]`` that match no tissue, as likely misspelt."""
+        names = list(names)
+        patterns = [override.match for override in self.tissues]
+        patterns += [pattern for pair in self.may_touch for pattern in (pair.first, pair.second)]
+        return [pattern for pattern in patterns if not any(matches(name, pattern) for name in names)]
 
     def _rule_of(self, code: str, name: str) -> RuleSetting:
         setting = self.rules[code]
         for override in self.tissues:
-            if code in override.rules and _matches(name, override.match):
+            if code in override.rules and matches(name, override.match):
                 setting = override.rules[code].apply(setting)
         return setting
 
@@ -183,7 +190,7 @@ def load_settings(
         "rules", "tissue", "nested", "may-touch",
     }  # fmt: skip
     _refuse_unknown(table, known, where)
-    chosen = profile or _string(table, "profile", where) or "strict"
+    chosen = next(name for name in (profile, _string(table, "profile", where), "strict") if name is not None)
     if chosen not in _profile_table():
         raise UsageError(f"{where}: no profile {chosen!r}", hint=f"profiles: {', '.join(_profile_table())}")
     rules = {code: RuleSetting(rule.level, rule.limit) for code, rule in RULES.items()}
@@ -191,17 +198,19 @@ def load_settings(
         for code, change in _rule_changes(source.get("rules", {}), f"{place}: rules").items():
             rules[code] = change.apply(rules[code])
     for code, limit in (limits or {}).items():
-        rules[code] = replace(rules[code], limit=_not_nan(limit, f"limit of {code}"))
-    selected = _codes([*select] or _strings(table, "select", where), "select")
+        rules[code] = replace(rules[code], limit=_finite(limit, f"limit of {code}"))
+    select, ignore = list(select), list(ignore)
+    selected = _codes(select or _strings(table, "select", where), "select")
     if selected:
         # What could not be read can't pass, whatever is looked for; --ignore says so if it is meant.
         selected |= {code for code, rule in RULES.items() if code.startswith("F") and rule.level == "error"}
-    ignored = _codes([*_strings(table, "ignore", where), *ignore], "ignore")
+    # A rule that the command line selects is on, whatever the file says of it.
+    ignored = _codes([*([] if select else _strings(table, "ignore", where)), *ignore], "ignore")
     for code, setting in rules.items():
         if (selected and code not in selected) or code in ignored:
             rules[code] = replace(setting, level=None)
         elif code in selected and setting.level is None:
-            rules[code] = replace(setting, level="warning")
+            rules[code] = replace(setting, level=RULES[code].level or "warning")
     search = gap_search_mm if gap_search_mm is not None else _number(table, "gap-search", where)
     unit = units or _string(table, "units", where) or "mm"
     if unit not in UNITS:
@@ -221,7 +230,8 @@ def load_settings(
     )
 
 
-def _matches(name: str, pattern: str) -> bool:
+def matches(name: str, pattern: str) -> bool:
+    """Tell if a tissue's name matches a shell pattern, case aside."""
     return fnmatchcase(name.casefold(), pattern.casefold())
 
 
@@ -237,14 +247,19 @@ def _read_config(config: Path | None, model: Sequence[Path]) -> tuple[dict[str, 
         if (directory / "vhp.toml").is_file():
             return _parse(directory / "vhp.toml"), str(directory / "vhp.toml")
         project = directory / "pyproject.toml"
-        if project.is_file() and isinstance(section := _parse(project).get("tool", {}).get("vhp"), dict):
-            return section, f"{project}: [tool.vhp]"
+        if project.is_file():
+            tools = _parse(project).get("tool", {})
+            section = tools.get("vhp", {}) if isinstance(tools, dict) else None
+            if not isinstance(section, dict):
+                raise UsageError(f"{project}: [tool.vhp] must be a table")
+            if section:
+                return section, f"{project}: [tool.vhp]"
     return {}, "command line"
 
 
 def _parse(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise UsageError(f"{path}: can't be read: {error.strerror}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -269,6 +284,8 @@ def _rule_changes(table: object, where: str) -> dict[str, RuleChange]:
         if level is not None:
             _one_of(level, (*LEVELS, "off"), f"{place}.level")
         limit = _number(value, "limit", place)
+        if limit is not None:
+            _finite(limit, f"{place}.limit")
         if limit is not None and RULES[code].limit is None:
             raise UsageError(f"{place}: rule {code} ({RULES[code].name}) has no limit")
         changes[code] = RuleChange(None if level in (None, "off") else level, level == "off", limit)  # type: ignore[arg-type]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Protocol
 
-from vhp_cli.config import LEVELS, Settings
+from vhp_cli.config import LEVELS, Settings, matches
 from vhp_cli.measures import Defect, Defects, Finding, PairRecord, Place, TissueMeasures, TissueRecord
 from vhp_cli.rules import RULES
 
@@ -91,6 +91,10 @@ def model_findings(
     }
     names = [tissue["name"] for tissue in tissues]
     for declared in settings.nested:
+        for pattern in (declared.first, declared.second):
+            if not any(matches(name, pattern) for name in names):
+                message = f"{pattern!r} is declared to be nested, and no tissue has such a name"
+                findings += _kept(settings, [], [("P006", 1, message, [])])
         for inner in names:
             for outer in names:
                 if inner != outer and declared.matches(inner, outer) and (inner, outer) not in inside:
@@ -149,7 +153,7 @@ def _tissue(
     for issue in issues:
         yield issue.rule, issue.count, issue.detail, []
     if measures["triangles"] == 0:
-        if not any(issue.rule == "F001" for issue in issues):
+        if not any(issue.rule in ("F001", "F012") for issue in issues):
             yield "F005", 1, "no triangle in the file", []
         return
     if bounds := measures["bounds_mm"]:
@@ -184,7 +188,8 @@ def _pair(pair: PairRecord, settings: Settings) -> Iterator[_Broken]:
     elif relation == "crossing":
         faces = pair["crossing_faces"] or pair["contact_faces"]
         overlap = f", common volume {pair['overlap_mm3']:.4g} mm3" if pair["overlap_mm3"] else ""
-        yield "P001", faces, f"{_count(faces, 'face', 'faces')} of the two cross{overlap}", places
+        what = f"{_count(faces, 'face', 'faces')} of the two cross" if faces else "parts of one lie inside the other"
+        yield "P001", max(1, faces), what + overlap, places
     if pair["undecided"]:
         yield "P007", 1, "one surface is open, so inside and outside can't be told there", places
     if any(pattern.matches(*names) or pattern.matches(*names[::-1]) for pattern in settings.may_touch):
@@ -196,7 +201,8 @@ def _pair(pair: PairRecord, settings: Settings) -> Iterator[_Broken]:
         faces = pair["contact_faces"]
         yield "P002", faces, f"{_count(faces, 'face', 'faces')} of the two touch", places
     gap, limit = pair["min_gap_mm"], settings.rule("P005", *names).limit
-    if gap and limit is not None and gap < limit * (1 - GAP_ROUNDING):
+    apart = relation in ("disjoint", "a_inside_b", "b_inside_a")
+    if apart and gap is not None and limit is not None and gap < limit * (1 - GAP_ROUNDING):
         yield "P005", 1, f"the gap is {gap:.4g} mm, at least {limit:g} mm asked", places
 
 

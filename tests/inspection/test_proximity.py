@@ -67,8 +67,44 @@ def test_a_cavity_is_outside():
 def test_every_part_must_be_inside():
     scattered = joined(sphere(1), moved(sphere(1), (0, 0, 8)))
     assert pair(scattered, sphere(20))["inside"] == "a"
-    ring = joined(sphere(1, subdivisions=1), moved(sphere(1, subdivisions=1), (30, 0, 0)))
-    assert pair(ring, sphere(20)) is None
+    halfway = joined(sphere(1, subdivisions=1), moved(sphere(1, subdivisions=1), (30, 0, 0)))
+    found = pair(halfway, sphere(20))
+    assert found["relation"] == "crossing" and found["inside"] == "" and found["crossing_faces"] == 0
+    assert found["overlap_mm3"] == pytest.approx(volume(sphere(1, subdivisions=1)), rel=1e-6)
+
+
+def volume(mesh):
+    corners = mesh.vertices[mesh.faces]
+    return np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+
+
+def test_a_solid_in_the_wall_around_a_cavity_is_not_enclosed():
+    """Its surface runs in the wall, yet it fills the cavity too: it is no subset of what surrounds it."""
+    hollow = joined(box((0, 0, 0), (20, 20, 20)), flipped(box((7, 7, 7), (13, 13, 13))))
+    found = pair(box((5, 5, 5), (15, 15, 15)), hollow)
+    assert found["relation"] == "crossing" and found["overlap_mm3"] == pytest.approx(1000 - 216, rel=1e-6)
+    shell = joined(box((5, 5, 5), (15, 15, 15)), flipped(box((6, 6, 6), (14, 14, 14))))
+    assert pair(shell, hollow)["relation"] == "a_inside_b"
+
+
+def test_one_solid_in_two_triangulations_is_no_mere_contact():
+    cut = box()
+    faces = cut.faces.copy()
+    faces[0], faces[1] = (0, 2, 1), (1, 2, 3)  # the other diagonal of one side
+    found = pair(box(), Mesh(cut.vertices, faces))
+    assert found["relation"] == "crossing" and found["overlap_mm3"] == pytest.approx(1000)
+
+
+def test_a_shallow_overlap_with_flush_sides_is_an_overlap():
+    found = pair(box((0, 0, 0), (20, 20, 20)), box((20 - 1e-5, 0, 0), (40, 20, 20)))
+    assert found["relation"] == "crossing" and found["overlap_mm3"] == pytest.approx(0.004, rel=1e-3)
+
+
+def test_gaps_too_small_to_measure_are_gaps():
+    tip = Mesh([[0, 0, 1e-16], [1, 0, 5], [0, 1, 5], [-1, -1, 5]], [[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]])
+    floor = box((-5, -5, -5), (5, 5, 0))
+    found = pair(tip, floor)
+    assert found["relation"] == "disjoint" and 0 <= found["min_gap_mm"] < 1e-15
 
 
 def test_identical_whatever_the_order():

@@ -140,6 +140,14 @@ def test_a_crossing_is_located_where_it_is():
         assert 6 < place["xyz_mm"][0] < 8  # both spheres meet in the plane half way
 
 
+def test_a_solid_too_flat_to_have_an_outside_is_no_pass():
+    for height in (1e-12, -1e-12):
+        ring = [(50 * math.cos(t), 50 * math.sin(t), 0) for t in np.arange(6) * math.pi / 3]
+        faces = [f for k in range(6) for f in ((k, (k + 1) % 6, 6), ((k + 1) % 6, k, 7))]
+        measures, defects = inspect(Mesh([*ring, (0, 0, height), (0, 0, -height)], faces))
+        assert "T005" in defects and not measures["outward"]
+
+
 def test_a_fold_is_measured():
     roof = Mesh([[0, 0, 0], [10, 0, 0], [5, 8, 0], [5, 8, 0.001]], [[0, 1, 2], [1, 0, 3]])
     measures, defects = inspect(roof)

@@ -93,17 +93,25 @@ def check(
     targets = [_target(report, form) for report in reports]
     if output is not None:
         targets.append((output / "report.json", "json"))
-    old_report = baseline.read_bytes() if baseline is not None else None
+    old_report = None
+    if baseline is not None:
+        from vhp_cli.report.baseline import parse_baseline
+
+        old_report = parse_baseline(baseline.read_bytes())
     found = find_model(model, recursive=settings.recursive)
     if dry_run:
         for file in found.tissues:
             click.echo(f"{file.name}\t{settings.tissue_type(file.name)}\t{file.path}")
         return
 
+    talk = ctx.obj or {}
+    for pattern in settings.idle_patterns(tissue.name for tissue in found.tissues):
+        if not talk.get("quiet"):
+            click.echo(f"note: no tissue matches {pattern!r} of the settings", err=True)
+
     from vhp_cli.pipeline.cache import default_directory
     from vhp_cli.pipeline.check import check_model, with_findings
 
-    talk = ctx.obj or {}
     with _progress(quiet=talk.get("quiet", False)) as progress:
         checked = check_model(
             found,
@@ -115,9 +123,9 @@ def check(
         )
     report = checked.report
     if old_report is not None:
-        from vhp_cli.report.baseline import mark_known, parse_baseline
+        from vhp_cli.report.baseline import mark_known
 
-        report = with_findings(report, mark_known(report["findings"], parse_baseline(old_report)))
+        report = with_findings(report, mark_known(report["findings"], old_report))
     _write(report, targets, _base(model))
     to_stdout = next((target_form for path, target_form in targets if path is None), form)
     _show(report, to_stdout or "table", _base(model), nesting=nesting, **talk)

@@ -22,8 +22,13 @@ FORMATS = ("table", "json", "jsonl", "csv", "markdown", "junit", "sarif", "githu
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
-def _comma_list(ctx: click.Context, parameter: click.Parameter, value: str) -> list[str]:
-    return [part.strip() for part in value.split(",") if part.strip()]
+def _comma_list(ctx: click.Context, parameter: click.Parameter, value: str | None) -> list[str]:
+    if value is None:
+        return []
+    parts = [part.strip() for part in value.split(",")]
+    if not all(parts):
+        raise click.BadParameter("expected rules separated by commas")
+    return parts
 
 
 def _combined(*decorators: Decorator) -> Decorator:
@@ -61,11 +66,10 @@ judging_options = _combined(
     click.option(
         "--select",
         callback=_comma_list,
-        default="",
         metavar="RULES",
         help="Only these rules, and errors in files: X,T001,...",
     ),
-    click.option("--ignore", callback=_comma_list, default="", metavar="RULES", help="Leave these rules out."),
+    click.option("--ignore", callback=_comma_list, metavar="RULES", help="Leave these rules out."),
     click.option("--min-q", type=click.FloatRange(0, 1), metavar="Q", help="Limit of Q001, q = 2 r_in / r_out."),
     click.option("--min-edge", type=click.FloatRange(min=0), metavar="MM", help="Limit of Q002, shortest edge."),
     click.option("--gap", type=click.FloatRange(min=0), metavar="MM", help="Limit of P005, gap between tissues."),

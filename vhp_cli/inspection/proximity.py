@@ -15,9 +15,12 @@ from vhp_cli.kernels.spatial import KIND_CROSSING, gap, overlap_volume, pair_hit
 from vhp_cli.measures import PairMeasures, Relation
 from vhp_cli.mesh import Mesh
 
-# Overlaps below this share of the smaller tissue are rounding of the volume, not overlap: the crossing
-# itself is decided exactly, the volume only grades contacts that cross nowhere transversally.
-OVERLAP_ROUNDING = 1e-6
+# The volume in common is computed with one tissue moved by 1e-11 of the largest coordinate, so that it is wrong by
+# that times the area of contact. It only grades contacts that cross nowhere transversally; crossing is exact.
+OVERLAP_SHIFT = 4e-11
+
+# Vertices of a tissue that are tested against an open one.
+WINDING_SAMPLES = 32
 
 # Among so many of the worst contacts the one in the middle is shown.
 LISTED_CONTACTS = 512
@@ -69,14 +72,18 @@ def inspect_pair(a: Surface, b: Surface, gap_search_mm: float) -> PairMeasures |
         record["min_gap_mm"] = nearest.distance
         record["points_mm"] = [point(xyz) for xyz in nearest.points]
         record["faces"] = [int(face) for face in nearest.faces]
-    for inner, outer, side in ((a, b, "a"), (b, a, "b")):
-        if not _box_inside(inner, outer):
-            continue
-        enclosed, record["undecided"] = _enclosed(inner, outer)
-        if enclosed:
-            record["inside"] = side  # type: ignore[typeddict-item]
-            record["relation"] = "a_inside_b" if side == "a" else "b_inside_a"
-    if nearest is None and not record["inside"] and not record["undecided"]:
+    a_in_b, b_in_a = _parts_inside(a, b), _parts_inside(b, a)
+    record["undecided"] = a_in_b is None or b_in_a is None
+    if a_in_b is not None and b_in_a is not None and (a_in_b.any() or b_in_a.any()):
+        if a_in_b.all() and not b_in_a.any():
+            record["relation"], record["inside"] = "a_inside_b", "a"
+        elif b_in_a.all() and not a_in_b.any():
+            record["relation"], record["inside"] = "b_inside_a", "b"
+        else:
+            # Parts of one lie in the other, parts do not: common volume without any contact of the surfaces.
+            record["relation"] = "crossing"
+            record["overlap_mm3"] = _known(overlap_volume(a.tree, b.tree))
+    if nearest is None and record["relation"] == "disjoint" and not record["undecided"]:
         return None
     return record
 
@@ -92,34 +99,36 @@ def _contact(a: Surface, b: Surface, record: PairMeasures) -> PairMeasures:
     record["coplanar_faces"] = hits.coplanar_faces
     if _same_surface(a.mesh, b.mesh):
         record["relation"] = "identical"
-        record["overlap_mm3"] = abs(_volume(a)) if a.closed else 0.0
+        record["overlap_mm3"] = abs(a.volume_mm3) if a.closed else 0.0
         return record
     overlap = overlap_volume(a.tree, b.tree) if a.solid and b.solid else math.nan
     if hits.counts[KIND_CROSSING] or not hits.complete:  # what was not counted may be worse than what was
         record["relation"] = "crossing"
-    else:
+    elif a.solid and b.solid:
         record["relation"], record["inside"] = _graded_contact(a, b, overlap)
-    # Volumes are good to rounding only: what lies below it is contact without overlap.
-    record["overlap_mm3"] = 0.0 if math.isnan(overlap) else max(0.0, overlap)
+    else:
+        record["relation"] = "touching"
+    record["overlap_mm3"] = _known(overlap)
     return record
 
 
 def _graded_contact(a: Surface, b: Surface, overlap: float) -> tuple[Relation, Literal["a", "b", ""]]:
-    """Tell touching from crossing where every contact is degenerate (vertex, edge or plane on plane)."""
-    if math.isnan(overlap):
+    """Tell touching from crossing where every contact of two solids is degenerate (vertex, edge or plane on plane)."""
+    size = max(
+        1.0, *(float(np.abs(corner).max()) for corner in (a.tree.lower, a.tree.upper, b.tree.lower, b.tree.upper))
+    )
+    tolerance = OVERLAP_SHIFT * size * min(a.area_mm2, b.area_mm2)
+    a_covered, b_covered = (overlap >= solid.volume_mm3 - tolerance for solid in (a, b))
+    if overlap <= tolerance and not (a_covered or b_covered):
         return "touching", ""
-    volumes = _volume(a), _volume(b)
-    tolerance = OVERLAP_ROUNDING * min(volumes)
-    if overlap <= tolerance:
-        return "touching", ""
-    if overlap >= min(volumes) - tolerance:
-        return "touching", "a" if volumes[0] < volumes[1] else "b"
+    if a_covered != b_covered:
+        return "touching", "a" if a_covered else "b"
+    # Both are the same solid, or the volume is not known (NaN): no excuse for a contact.
     return "crossing", ""
 
 
-def _volume(a: Surface) -> float:
-    corners = a.mesh.vertices[a.mesh.faces] - a.tree.lower
-    return float(np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
+def _known(volume: float) -> float:
+    return 0.0 if math.isnan(volume) else max(0.0, volume)
 
 
 def _same_surface(a: Mesh, b: Mesh) -> bool:
@@ -142,13 +151,22 @@ def _box_inside(inner: Surface, outer: Surface) -> bool:
     return bool((inner.tree.lower >= outer.tree.lower).all() and (inner.tree.upper <= outer.tree.upper).all())
 
 
-def _enclosed(inner: Surface, outer: Surface) -> tuple[bool, bool]:
-    """Tell for two surfaces without contact if every part of one lies inside the other, and if that is undecided."""
-    points = inner.mesh.vertices[inner.representatives]
-    if not len(points):
-        return False, False
+def _parts_inside(inner: Surface, outer: Surface) -> NDArray[np.bool_] | None:
+    """Tell for two surfaces without contact which parts of one lie inside the other; None if that is undecided.
+
+    A part of a surface that nothing touches lies inside as a whole or not at all, if what surrounds it is closed.
+    An open one has a mouth, in which nothing can be told.
+    """
+    parts = inner.representatives
+    nowhere = np.zeros(len(parts), dtype=bool)
+    if (len(parts) < 2 or not outer.closed) and not _box_inside(inner, outer):
+        return nowhere
     if outer.closed:
-        return bool((outer.tree.inside(points) == 1).all()), False
-    winding = np.abs(outer.tree.winding(points))
+        inside: NDArray[np.bool_] = outer.tree.inside(inner.mesh.vertices[parts]) == 1
+        return inside
+    step = max(1, len(inner.mesh.vertices) // WINDING_SAMPLES)
+    winding = np.abs(outer.tree.winding(inner.mesh.vertices[::step]))
     low, high = UNDECIDED_WINDING
-    return bool((winding >= high).all()), bool(((winding > low) & (winding < high)).any())
+    if (winding <= low).all():
+        return nowhere
+    return ~nowhere if (winding >= high).all() else None

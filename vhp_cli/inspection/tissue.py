@@ -39,6 +39,8 @@ class Surface:
         Closed, 2-manifold and outward: enclosed volumes are defined.
     representatives : (C,) int32
         One vertex of each component.
+    volume_mm3, area_mm2
+        As in the measures.
     """
 
     mesh: Mesh
@@ -46,6 +48,8 @@ class Surface:
     closed: bool
     solid: bool
     representatives: np.ndarray
+    volume_mm3: float
+    area_mm2: float
 
 
 def inspect_tissue(
@@ -128,7 +132,8 @@ def inspect_tissue(
         "self_intersections": intersections,
     }
     solid = outward and not intersections["pairs"]
-    return measures, defects, Surface(mesh, tree, closed, solid, mesh.faces[first_faces(topology), 0])
+    representatives = mesh.faces[first_faces(topology), 0]
+    return measures, defects, Surface(mesh, tree, closed, solid, representatives, quality.volume, quality.area)
 
 
 def restore_surface(mesh: Mesh, measures: TissueMeasures) -> Surface:
@@ -138,7 +143,15 @@ def restore_surface(mesh: Mesh, measures: TissueMeasures) -> Surface:
         topology = surface.topology(mesh.vertices, mesh.faces)
         representatives = mesh.faces[first_faces(topology), 0]
     solid = measures["outward"] and not measures["self_intersections"]["pairs"]
-    return Surface(mesh, Tree(mesh.vertices, mesh.faces), measures["closed"], solid, representatives)
+    return Surface(
+        mesh,
+        Tree(mesh.vertices, mesh.faces),
+        measures["closed"],
+        solid,
+        representatives,
+        measures["volume_mm3"],
+        measures["area_mm2"],
+    )
 
 
 def inspect_nothing() -> TissueMeasures:

@@ -81,9 +81,9 @@ def inward_defect(
         bounding = (topology.component >= 0) & sound[np.maximum(topology.component, 0)]
         labels = np.where(bounding, topology.component, np.int32(-1))
         depths, undecided = tree.component_depths(labels, n_parts)
-    # The sign of a volume within rounding of zero (a flat, folded part) tells nothing.
-    decided = sound & ~undecided & (np.abs(volumes) > 1e-12 * quality.component_area**1.5)
-    wrong = np.flatnonzero(decided & ((volumes > 0) == (depths % 2 == 1)))
+    # The sign of a volume within rounding of zero tells nothing: a part so flat has no outside, and counts as wrong.
+    flat = np.abs(volumes) <= 1e-12 * quality.component_area**1.5
+    wrong = np.flatnonzero(sound & ~undecided & (flat | ((volumes > 0) == (depths % 2 == 1))))
     if not len(wrong):
         return None
     wrong = wrong[np.argsort(-np.abs(volumes[wrong]), kind="stable")]

@@ -22,7 +22,7 @@ from vhp_cli.gate import failure_findings, model_findings, pair_findings, sort_f
 from vhp_cli.inspection.nesting import nesting
 from vhp_cli.inspection.proximity import inspect_pair, near_pairs
 from vhp_cli.inspection.tissue import ShapeLimits, Surface, inspect_nothing, inspect_tissue, restore_surface
-from vhp_cli.measures import Defects, Finding, PairMeasures, PairRecord, Place, Report, TissueMeasures, TissueRecord
+from vhp_cli.measures import Defects, Finding, PairMeasures, PairRecord, Report, TissueMeasures, TissueRecord
 from vhp_cli.mesh import Mesh
 from vhp_cli.model import Model, TissueFile
 from vhp_cli.pipeline.cache import Cache, file_facts
@@ -56,6 +56,7 @@ class _Tissue:
     measures: TissueMeasures = field(default_factory=inspect_nothing)
     defects: Defects = field(default_factory=dict)
     surface: Surface | None = None
+    face_number: np.ndarray | None = None  # of each face of the mesh in the file, where they differ
     failed: bool = False
     lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -158,7 +159,7 @@ def _inspect(tissue: _Tissue, settings: Settings, cache: Cache) -> None:
     limits = ShapeLimits(*(settings.rule(code, name).limit or 0.0 for code in ("Q001", "Q002", "X005")))
     try:
         tissue.sha256, data = _identify(tissue.source.path, cache)
-        key = f"{tissue.sha256} {tissue.source.path.suffix.lower()} {_geometry_key(settings)} {limits}"
+        key = f"{_content(tissue)} {_geometry_key(settings)} {limits}"
         kept = cache.get("tissues", key)
         if kept is None:
             if data is None:
@@ -168,8 +169,10 @@ def _inspect(tissue: _Tissue, settings: Settings, cache: Cache) -> None:
             if len(reading.mesh.faces):
                 mesh = _in_mm(reading.mesh, settings)
                 measures, defects, tissue.surface = inspect_tissue(mesh, limits, unreferenced=reading.unreferenced)
-            if reading.face_number is not None:
-                _renumber(defects, reading.face_number)
+            tissue.face_number = reading.face_number
+            for place in (place for defect in defects.values() for place in defect["places"]):
+                if place["face"] is not None:
+                    place["face"] = _in_file(tissue, place["face"])
             issues = [[issue.rule, issue.count, issue.detail] for issue in reading.issues]
             kept = {"format": reading.format, "issues": issues, "measures": measures, "defects": defects}
             cache.put("tissues", key, kept)
@@ -210,6 +213,7 @@ def _surface(tissue: _Tissue, settings: Settings) -> Surface:
         if tissue.surface is None:
             data = _unchanged_bytes(tissue)
             reading = formats.parse_mesh(tissue.source.path, data, weld_tolerance=_weld(settings))
+            tissue.face_number = reading.face_number
             tissue.surface = restore_surface(_in_mm(reading.mesh, settings), tissue.measures)
         return tissue.surface
 
@@ -233,11 +237,14 @@ def _check_pairs(
 
     def one(index: int) -> None:
         a, b = (solid[tissue] for tissue in candidates[index])
-        key = f"{a.sha256} {b.sha256} {_geometry_key(settings)} {search!r}"
+        key = f"{_content(a)} {_content(b)} {_geometry_key(settings)} {search!r}"
         try:
             kept = cache.get("pairs", key)
             if kept is None:
-                kept = {"measures": inspect_pair(_surface(a, settings), _surface(b, settings), search)}
+                found = inspect_pair(_surface(a, settings), _surface(b, settings), search)
+                if found is not None and found["faces"] is not None:
+                    found["faces"] = [_in_file(a, found["faces"][0]), _in_file(b, found["faces"][1])]
+                kept = {"measures": found}
                 cache.put("pairs", key, kept)
             measures: PairMeasures | None = kept["measures"]
             if measures is not None:
@@ -340,10 +347,10 @@ def with_findings(report: Report, findings: list[Finding]) -> Report:
 
 
 def _gap_search(settings: Settings, names: Sequence[str]) -> float:
-    if settings.gap_search_mm is not None:
-        return settings.gap_search_mm
+    """Return how far gaps are measured: at least as far as the gap rule looks."""
     limits = [settings.rule("P005", name) for name in names]
-    return max([0.0, *(setting.limit for setting in limits if setting.level and setting.limit is not None)])
+    needed = (setting.limit for setting in limits if setting.level and setting.limit is not None)
+    return max(settings.gap_search_mm or 0.0, *needed, 0.0)
 
 
 def _weld(settings: Settings) -> float:
@@ -359,12 +366,14 @@ def _geometry_key(settings: Settings) -> str:
     return f"{settings.units} {settings.weld_tolerance_mm!r}"
 
 
-def _renumber(defects: Defects, face_number: np.ndarray) -> None:
-    """Let places name facets as the file counts them, where the reader left some out."""
-    places: list[Place] = [place for defect in defects.values() for place in defect["places"]]
-    for place in places:
-        if place["face"] is not None:
-            place["face"] = int(face_number[place["face"]])
+def _content(tissue: _Tissue) -> str:
+    """Identify what was read: the bytes, and the format that the suffix names."""
+    return f"{tissue.sha256} {tissue.source.path.suffix.lower()}"
+
+
+def _in_file(tissue: _Tissue, face: int) -> int:
+    """Return the number of a face as its file counts, where the reader left faces out or cut polygons."""
+    return face if tissue.face_number is None else int(tissue.face_number[face])
 
 
 def _size(path: Path) -> int:
