@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import subprocess
@@ -12,10 +13,12 @@ from pathlib import Path
 
 import click
 import pytest
+from shapes import sphere
 
 import vhp_cli
 from vhp_cli import cli
 from vhp_cli.errors import UnreadableFileError, UsageError, VhpError
+from vhp_cli.formats import write_mesh
 from vhp_cli.kernels import build
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -236,6 +239,38 @@ def test_a_closed_pipe_is_quiet_and_no_pass(printer):
     assert process.wait(timeout=60) == cli.PIPE_CLOSED
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
+@pytest.mark.parametrize("closed", [">&-", ">&- 2>&-", "2>&-"])
+@pytest.mark.parametrize(("arguments", "code"), [("rules", 0), ("--version", 0), ("check missing", 2)])
+def test_closed_streams_do_not_change_the_exit_code(closed, arguments, code):
+    done = subprocess.run(
+        f'"{sys.executable}" -m vhp_cli {arguments} {closed}',
+        shell=True, capture_output=True, text=True, timeout=60, check=False, cwd=ROOT,
+    )  # fmt: skip
+    assert done.returncode == code, done.stderr
+    assert "internal error" not in done.stderr
+
+
+def test_silencing_what_is_no_stream_of_the_system():
+    cli._silence(None)
+    cli._silence(io.StringIO())
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "cp1252", "ascii"])
+def test_names_that_the_console_lacks_are_escaped(tmp_path, encoding):
+    name = "肝臓"
+    write_mesh(tmp_path / f"{name}.stl", sphere(10))
+    for options in (["--dry-run"], [], ["--format", "json"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "vhp_cli", "check", str(tmp_path), *options],
+            capture_output=True, timeout=60, check=False, cwd=ROOT,
+            env={**os.environ, "PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"},
+        )  # fmt: skip
+        assert done.returncode in (0, 1), done.stderr
+        shown = done.stdout + done.stderr
+        assert rb"\u809d" in shown or name.encode() in shown  # click writes UTF-8 where Python says ASCII
+
+
 # The compiled library
 
 
@@ -270,7 +305,12 @@ def test_a_library_older_than_its_sources_is_refused(tmp_path):
         assert done.returncode == 0, done.stderr
         return done.stdout
 
-    assert load().startswith("refused: the compiled kernels can't be loaded")
+    # Libraries of other platforms, or copies, are no substitute.
+    for name in ("_kernels.so.old", "_kernels.o", "_kernels.pyd"):
+        (kernels / name).write_bytes(b"")
+    refusal = load()
+    assert refusal.startswith("refused: the compiled kernels can't be loaded")
+    assert f"{build.LIBRARY.name}:" in refusal
     compiled = subprocess.run(
         [sys.executable, str(kernels / "build.py"), "--check"], capture_output=True, text=True, check=False
     )

@@ -150,6 +150,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         processed or vhp itself failed, 130 interrupted, 141 the reader of the output went away.
     """
     settings: dict[str, Any] = {"verbose": False}
+    _prepare_streams()
     try:
         code = _run(arguments, settings)
         sys.stdout.flush()
@@ -185,6 +186,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return FAILED
 
 
+def _prepare_streams() -> None:
+    """Make stdout and stderr take any text, whether they are closed or their encoding lacks a tissue's name."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            # Closed by the shell (`>&-`). The lowest free descriptor is taken: that of the stream itself.
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
 def _run(arguments: Sequence[str] | None, settings: dict[str, Any]) -> int:
     """Run the group; a command ends by ``ctx.exit(code)``, or by returning its exit code or None."""
     result = cli.main(
@@ -208,8 +220,12 @@ def _say(text: str) -> None:
 
 def _silence(stream: Any) -> None:
     """Point a stream whose reader is gone at nothing, so that the interpreter can flush it at its end."""
+    try:
+        descriptor = stream.fileno()
+    except (AttributeError, OSError, ValueError):
+        return  # no stream of the system: None, closed, or in memory
     null = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, stream.fileno())
+    os.dup2(null, descriptor)
     os.close(null)
 
 

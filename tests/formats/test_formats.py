@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import threading
 import time
 import warnings
 from pathlib import Path
@@ -15,6 +17,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from shapes import box, sphere
 
+from vhp_cli import formats
 from vhp_cli.errors import UnreadableFileError
 from vhp_cli.formats import READERS, SUFFIXES, WRITERS, parse_mesh, read_bytes, read_mesh, sha256, write_mesh
 from vhp_cli.mesh import Mesh
@@ -152,6 +155,41 @@ def test_the_hash_is_of_the_bytes_on_the_disk(tmp_path):
     assert read_mesh(path).sha256 == expected
     assert sha256(read_bytes(path)) == expected
     assert parse_mesh(path, read_bytes(path)).sha256 == ""
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_what_is_no_file_is_refused_at_once(tmp_path):
+    (tmp_path / "folder.stl").mkdir()
+    os.mkfifo(tmp_path / "pipe.stl")
+    (tmp_path / "null.stl").symlink_to("/dev/null")
+    refused = []
+
+    def read(path):
+        with pytest.raises(UnreadableFileError, match="not a regular file"):
+            read_bytes(path)
+        refused.append(path.name)
+
+    for name in ("folder.stl", "pipe.stl", "null.stl"):
+        thread = threading.Thread(target=read, args=(tmp_path / name,), daemon=True)
+        thread.start()
+        thread.join(10)
+    assert refused == ["folder.stl", "pipe.stl", "null.stl"]
+
+
+def test_a_file_larger_than_the_memory_is_refused(tmp_path, monkeypatch):
+    path = tmp_path / "a.stl"
+    with path.open("wb") as file:
+        file.truncate(2**20)
+    assert len(read_bytes(path)) == 2**20
+    monkeypatch.setattr(formats, "_physical_memory", lambda: 2.0**20 - 1)
+    with pytest.raises(UnreadableFileError, match="larger than the memory"):
+        read_bytes(path)
+
+
+@pytest.mark.skipif(not Path("/proc/meminfo").exists(), reason="the reference is Linux'")
+def test_the_memory_of_this_machine():
+    total = int(Path("/proc/meminfo").read_text().split()[1]) * 1024
+    assert formats._physical_memory() == pytest.approx(total, rel=0.01)
 
 
 mesh_coordinate = st.floats(-1e6, 1e6, width=32).map(lambda x: 0.0 if 0 < abs(x) < 1e-30 else x)

@@ -208,20 +208,44 @@ def mesh_pairs(mesh_a, mesh_b):
     return {(int(i[k]), int(j[k])): int(kinds[k]) for k in np.nonzero(kinds)[0]}
 
 
+def _box_pairs_of_one(triangles):
+    """Indices (i < j) of float triangles whose boxes overlap, by a sweep along x."""
+    low, high = triangles.min(axis=1), triangles.max(axis=1)
+    order = np.argsort(low[:, 0], kind="stable")
+    begins = low[order, 0]
+    pairs = [np.empty((0, 2), int)]
+    for place, i in enumerate(order):
+        later = order[place + 1 : np.searchsorted(begins, high[i, 0], "right")]
+        later = later[((low[later] <= high[i]) & (high[later] >= low[i])).all(axis=1)]
+        pairs.append(np.stack([np.minimum(later, i), np.maximum(later, i)], axis=1))
+    return np.concatenate(pairs).T
+
+
+def _shared_first(faces, others):
+    """Faces with the corners that both have in common moved to the front, in one order, and their number."""
+    same = faces[:, :, None] == others[:, None, :]
+    faces = np.take_along_axis(faces, np.argsort(~same.any(axis=2), axis=1, kind="stable"), axis=1)
+    place = np.argmax(others[:, :, None] == faces[:, None, :], axis=2)
+    rank = np.where(same.any(axis=1), place, 3)
+    return (
+        faces,
+        np.take_along_axis(others, np.argsort(rank, axis=1, kind="stable"), axis=1),
+        same.any(axis=2).sum(axis=1),
+    )
+
+
 def self_pairs(vertices, faces):
     """Return {(face, higher face): kind} of one mesh with float vertices."""
-    (vertices,) = integers(vertices)
     faces = np.asarray(faces)
-    repeated = np.array([len(set(face)) < 3 for face in faces.tolist()])
-    i, j = _box_pairs(vertices[faces], vertices[faces])
-    keep = (i < j) & ~repeated[i] & ~repeated[j]
+    (exact,) = integers(vertices)
+    repeated = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
+    i, j = _box_pairs_of_one(np.asarray(vertices)[faces])
+    keep = ~repeated[i] & ~repeated[j]
     i, j = i[keep], j[keep]
-    first, second = faces[i].copy(), faces[j].copy()
-    shared = np.empty(len(i), int)
-    for k in range(len(i)):
-        common = [v for v in first[k].tolist() if v in second[k].tolist()]
-        shared[k] = len(common)
-        first[k] = common + [v for v in first[k].tolist() if v not in common]
-        second[k] = common + [v for v in second[k].tolist() if v not in common]
-    kinds = pair_kinds(vertices[first], vertices[second], shared)
-    return {(int(i[k]), int(j[k])): int(kinds[k]) for k in np.nonzero(kinds)[0]}
+    found = {}
+    for start in range(0, len(i), 50_000):  # objects take much memory
+        some = slice(start, start + 50_000)
+        first, second, shared = _shared_first(faces[i[some]], faces[j[some]])
+        kinds = pair_kinds(exact[first], exact[second], shared)
+        found |= {(int(i[start + k]), int(j[start + k])): int(kinds[k]) for k in np.nonzero(kinds)[0]}
+    return found

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 from exact import Distances, components, directed_edges, is_closed_and_oriented, quality, shortest_edge, volume, winding
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from vhp_cli.errors import UsageError
@@ -225,6 +225,7 @@ def test_sewn_rings_are_closed(counts, first):
 
 
 @given(st.lists(st.floats(-50, 50), min_size=3, max_size=8))
+@example([0.0, 1.1125369292536007e-308, 1.0])
 def test_monotone_curves_stay_between_neighbouring_knots(values):
     knots = np.arange(len(values), dtype=float)
     curve = monotone_curve(knots, np.array(values))

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import math
+import os
+import stat
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -42,6 +45,9 @@ READERS: dict[str, Reader] = {".stl": parse_stl, ".ply": parse_ply, ".obj": pars
 WRITERS: dict[str, Callable[[Mesh], bytes]] = {".stl": stl_bytes, ".ply": ply_bytes, ".obj": obj_bytes}
 SUFFIXES = tuple(READERS)
 
+# Non-blocking, or opening a pipe without a writer would wait for ever; binary, or Windows would alter line ends.
+_OPEN = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+
 
 def read_bytes(path: Path) -> bytes:
     """Return the contents of a file.
@@ -49,14 +55,38 @@ def read_bytes(path: Path) -> bytes:
     Raises
     ------
     UnreadableFileError
-        If the system refuses.
+        If the system refuses, the path is that of a directory, device or pipe, or the file exceeds the memory.
     """
     try:
-        return Path(path).read_bytes()
+        descriptor = os.open(path, _OPEN)
+        try:
+            # The checks are made on the open file: nothing can take its place before it is read.
+            facts = os.fstat(descriptor)
+            if not stat.S_ISREG(facts.st_mode):
+                kind = "a directory, " if stat.S_ISDIR(facts.st_mode) else ""
+                raise UnreadableFileError(Path(path), f"{kind}not a regular file")
+            if facts.st_size > (memory := _physical_memory()):
+                raise UnreadableFileError(
+                    Path(path),
+                    f"the file is larger than the memory: {facts.st_size / 2**30:.1f} of {memory / 2**30:.1f} GiB",
+                )
+            with os.fdopen(descriptor, "rb", buffering=0, closefd=False) as file:
+                return file.read()
+        finally:
+            os.close(descriptor)
     except OSError as error:
         raise UnreadableFileError(
             Path(path), f"can't read the file: {error.strerror or error}", hint="check its name and permissions"
         ) from error
+
+
+def _physical_memory() -> float:
+    """Return the bytes of memory in the machine; infinite where the system does not tell."""
+    try:
+        size = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError, OSError):
+        return math.inf
+    return size if size > 0 else math.inf
 
 
 def sha256(data: bytes) -> str:

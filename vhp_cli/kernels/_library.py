@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,9 @@ if TYPE_CHECKING:
     import numpy as np
 
 HERE = Path(__file__).resolve().parent
+# As in build.py, which costs 15 ms to import. What else lies here may be of another platform.
+SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+LIBRARY = HERE / f"_kernels{SUFFIX}"
 
 pointer = ctypes.c_void_p
 i32 = ctypes.c_int32
@@ -23,7 +27,7 @@ f64 = ctypes.c_double
 
 def _load() -> ctypes.CDLL:
     """Load the library, ``$VHP_KERNELS`` if set; in a source checkout only if it was built from these sources."""
-    path = Path(os.environ.get("VHP_KERNELS") or next(HERE.glob("_kernels.*"), HERE / "_kernels"))
+    path = Path(os.environ.get("VHP_KERNELS") or LIBRARY)
     try:
         library = ctypes.CDLL(str(path))
     except OSError as error:

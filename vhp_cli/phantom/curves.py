@@ -23,7 +23,9 @@ def monotone_curve(knots: Array, values: Array) -> Callable[[Array], Array]:
     before, after = secant[:-1], secant[1:]
     w1, w2 = 2 * width[1:] + width[:-1], width[1:] + 2 * width[:-1]
     same_sign = before * after > 0
-    mean = (w1 + w2) / (w1 / np.where(same_sign, before, 1) + w2 / np.where(same_sign, after, 1))
+    # Beside a denormal secant the sum overflows, and the mean is 0, as it should be.
+    with np.errstate(over="ignore"):
+        mean = (w1 + w2) / (w1 / np.where(same_sign, before, 1) + w2 / np.where(same_sign, after, 1))
     slope[1:-1] = np.where(same_sign, mean, 0)
     slope[0], slope[-1] = secant[0], secant[-1]
 
