@@ -343,3 +343,39 @@ def test_memory_limit_is_an_error_of_that_tissue_alone(model):
     report = json.loads(done.stdout)
     assert [f["tissues"] for f in report["findings"] if f["rule"] == "F012"] == [["huge"]]
     assert next(t for t in report["tissues"] if t["name"] == "liver")["outward"]
+
+
+def test_a_model_of_which_nothing_could_be_processed_has_failed(model, monkeypatch):
+    """Out of memory is no wrong usage, even if it hits every tissue."""
+    import vhp_cli.pipeline.check as pipeline
+
+    def exhausted(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(pipeline, "inspect_tissue", exhausted)
+    code, report = run(model, "--no-cache")
+    assert code == 3 and rules(report) == {"F012"}
+
+
+def test_interruption_keeps_what_is_done(tmp_path):
+    """A run that is interrupted says so, and the next one goes on from its cache."""
+    import signal
+
+    model = tmp_path / "large"
+    model.mkdir()
+    for number in range(40):
+        write_mesh(model / f"ball_{number}.stl", moved(sphere(10, subdivisions=5), (25.0 * number, 0, 0)))
+    environment = {**os.environ, "VHP_CACHE_DIR": str(tmp_path / "cache")}
+    command = [sys.executable, "-m", "vhp_cli", "check", str(model), "-j1", "--report", "-"]
+    for _ in range(5):  # the moment is a matter of luck
+        running = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        time.sleep(0.5)
+        running.send_signal(signal.SIGINT)
+        _, errors = running.communicate(timeout=60)
+        assert b"Traceback" not in errors
+        if running.returncode == 130:
+            break
+    done = subprocess.run(command, env=environment, capture_output=True, check=False, timeout=60)
+    fresh = subprocess.run([*command, "--no-cache"], env=environment, capture_output=True, check=False, timeout=60)
+    reports = [json.loads(output) | {"run": {}} for output in (done.stdout, fresh.stdout)]
+    assert done.returncode == fresh.returncode == 0 and reports[0] == reports[1]

@@ -84,7 +84,9 @@ class Cache:
             return
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            body = json.dumps(self._new, separators=(",", ":")).encode()
+            # Copies: after an interruption, tasks that were under way may still add their results.
+            sections = {name: dict(results) for name, results in list(self._new.items())}
+            body = json.dumps(sections, separators=(",", ":")).encode()
             write_atomically(self._path, self._head(body) + body)
             oldest = time.time() - _KEEP_DAYS * 86400
             for file in self._path.parent.glob("*.json"):

@@ -113,7 +113,7 @@ def check_model(
         by_size = sorted(tissues, key=lambda tissue: -_size(tissue.source.path))
         _run(executor, [(_inspect, (tissue, settings, cache)) for tissue in by_size], "tissues", progress)
         clock.lap("tissues")
-        if all(tissue.format == "" for tissue in tissues):
+        if not any(tissue.format or tissue.failed for tissue in tissues):
             raise UsageError(_nothing_readable(tissues))
         pairs = _check_pairs(executor, tissues, settings, cache, progress)
         clock.lap("pairs")
