@@ -34,16 +34,20 @@ $(VENV)/.dev: $(VENV)/.test
 	$(PIP) install -e '.[test,dev]'
 	@touch $@
 
-demo: $(VENV)/.package ## make two small models, one sound and one with defects, and check both
+demo: $(VENV)/.package ## make two small models, one sound and one with defects, check both, and heal the second
 	@rm -rf $(DEMO)
 	$(BIN)/vhp phantom $(DEMO)/phantom
 	$(BIN)/vhp check $(DEMO)/phantom --report $(DEMO)/phantom.json
-	$(BIN)/vhp phantom $(DEMO)/broken --defects 7
+	$(BIN)/vhp phantom $(DEMO)/broken --defects 7 --defect-rules T,X,Q,F003,F004
 	@echo '$(BIN)/vhp check $(DEMO)/broken --report $(DEMO)/broken.json --report $(DEMO)/broken.md'
 	@$(BIN)/vhp check $(DEMO)/broken --report $(DEMO)/broken.json --report $(DEMO)/broken.md; code=$$?; \
 	  test $$code -eq 1 || { echo "demo: the broken model must end with exit code 1, not $$code" >&2; exit 1; }
 	@echo 'The sound model passed; the broken one was refused with exit code 1, as it must be.'
-	@echo 'Reports: $(DEMO)/phantom.json $(DEMO)/broken.json $(DEMO)/broken.md; defects planted: $(DEMO)/broken/planted.json'
+	$(BIN)/vhp heal $(DEMO)/broken -o $(DEMO)/healed --report $(DEMO)/healed.md
+	$(BIN)/vhp check $(DEMO)/healed
+	@echo 'Healed, the broken model passes.'
+	@echo 'Reports: $(DEMO)/phantom.json $(DEMO)/broken.json $(DEMO)/broken.md $(DEMO)/healed/report.json $(DEMO)/healed.md'
+	@echo 'Defects planted: $(DEMO)/broken/planted.json'
 
 test: $(VENV)/.test system-libraries ## run every test
 	$(BIN)/python -m pytest --slow $(PYTEST_ARGS)

@@ -214,3 +214,177 @@ def test_copies_lie_side_by_side(models: ModuleType, model: Path, tmp_path: Path
     models.write_copies(model, 3, tmp_path / "copies")
     assert models.triangle_count(tmp_path / "copies") == 3 * EXPECTED["triangles"]
     assert len(models.stl_files(tmp_path / "copies")) == 15
+
+
+@pytest.fixture
+def healing(monkeypatch: pytest.MonkeyPatch):
+    """The modules of the benchmark of `vhp heal`."""
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    names = ("check", "damage", "heal", "models", "peers", "referee", "repairers")
+    yield {name: importlib.import_module(name) for name in names}
+    for name in names:
+        sys.modules.pop(name, None)
+
+
+def arrays(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    return mesh.vertices, mesh.faces
+
+
+def test_made_defects_are_defects_of_sound_shapes(healing: dict[str, ModuleType]) -> None:
+    damage, referee = healing["damage"], healing["referee"]
+    assert len(damage.CASES) >= 30
+    touching = {"two spheres, joined at a vertex", "two boxes, joined at an edge"}
+    for name in damage.CASES:
+        if damage.needs_union(name) and not importlib.util.find_spec("manifold3d"):
+            continue
+        case = damage.case(name)
+        given = referee.judge(case.damaged)
+        assert not given.sound or given.min_quality < 0.01, name
+        if case.clean is not None and name not in touching:
+            assert referee.judge(case.clean).sound, name
+    again = damage.case("sphere, noise").damaged
+    assert again.vertices.tobytes() == damage.case("sphere, noise").damaged.vertices.tobytes()
+
+
+def test_damage_lies_where_its_kind_says(healing: dict[str, ModuleType]) -> None:
+    damage, referee = healing["damage"], healing["referee"]
+    for name in ("sphere, holes", "torus, flipped faces", "sphere, inner wall", "plate, noise"):
+        case = damage.case(name)
+        apart = referee.deviation(case.damaged, case.clean, lost_limit_mm=0.0)
+        beyond, missing = apart["to_output"]["max"] > 1e-6, apart["to_input"]["max"] > 1e-6
+        assert (beyond, missing) == {
+            "missing": (False, True),
+            "topology": (False, False),
+            "extra": (True, False),
+            "moved": (True, True),
+        }[case.kind], name
+
+
+def test_the_referee_sees_what_is_wrong(healing: dict[str, ModuleType]) -> None:
+    referee = healing["referee"]
+    ball, opened = sphere(10, subdivisions=2), box()
+    same = referee.judged(arrays(ball), arrays(ball), arrays(ball))
+    assert same["sound"] and same["independent"] and same["flaws"] == same["new_flaws"] == []
+    assert same["to_output_mm"] < 1e-6 and same["outside_mm"] == 0
+    assert same["volume_change"] == pytest.approx(0, abs=1e-12)
+    assert same["truth"]["output_mm"] < 1e-6
+
+    larger = sphere(11, subdivisions=2)
+    moved_out = referee.judged(arrays(ball), arrays(larger), None)
+    assert moved_out["to_output_mm"] == pytest.approx(1, abs=0.1)
+    # What lies within the output is not gone.
+    assert moved_out["outside_mm"] == 0 and moved_out["truth"] is None
+    assert moved_out["volume_change"] == pytest.approx(1.1**3 - 1, rel=1e-5)
+    shrunk = referee.judged(arrays(larger), arrays(ball), None)
+    assert shrunk["outside_mm"] == pytest.approx(1, abs=0.1)
+
+    hole = referee.judged(arrays(opened), (opened.vertices, opened.faces[1:]), None)
+    assert not hole["sound"] and not hole["independent"]
+    assert hole["new_flaws"] == ["boundary_edges"]
+    assert "trimesh: not watertight" in hole["flaws"]
+    inward = referee.judged(arrays(opened), (opened.vertices, opened.faces[:, ::-1]), None)
+    assert inward["new_flaws"] == ["inward_components"]
+    assert "trimesh: no positive volume" in inward["flaws"]
+
+    crossed = damage_of_two_boxes()
+    crossing = referee.judged(arrays(opened), arrays(crossed), None)
+    assert crossing["new_flaws"] == ["self_intersections"]
+    assert any(flaw.endswith(": self-intersections") for flaw in crossing["flaws"])
+    broken = opened.vertices.copy()
+    broken[0, 0] = np.nan
+    assert not referee.judged(arrays(opened), (broken, opened.faces), None)["sound"]
+    assert referee.judged(arrays(opened), (opened.vertices, opened.faces[:0]), None)["flaws"] == ["no faces"]
+
+
+def damage_of_two_boxes() -> Mesh:
+    second = moved(box(), (5.1, 4.2, 3.3))
+    first = box()
+    faces = np.concatenate((first.faces, second.faces + len(first.vertices)))
+    return Mesh(np.concatenate((first.vertices, second.vertices)), faces)
+
+
+def test_repairers_answer_like_each_other(healing: dict[str, ModuleType], pymeshlab: ModuleType) -> None:
+    repairers, referee = healing["repairers"], healing["referee"]
+    opened = Mesh(box().vertices, box().faces[1:])
+    for name in repairers.REPAIRERS:
+        # Wrapping takes seconds; the last line of the test below runs vhp.
+        if not healing["heal"].installed(name) or name == "pymeshlab wrap" or name.startswith("vhp"):
+            continue
+        repairers.warm_up(name)
+        made, wall, cpu = repairers.timed(name, *arrays(opened))
+        assert made["status"] == "changed" and wall > 0 and cpu >= 0
+        row = referee.judged(arrays(opened), (made["vertices"], made["faces"]), arrays(box()))
+        assert row["sound"] and row["independent"], (name, row["flaws"])
+        assert row["truth"]["volume_error"] == pytest.approx(0, abs=1e-6), name
+
+
+def test_healing_is_compared_from_the_command_line(tmp_path: Path, pymeshlab: ModuleType) -> None:
+    data, target = tmp_path / "data", tmp_path / "rows.json"
+    (data / "part").mkdir(parents=True)
+    write_stl(data / "a.stl", box())
+    write_stl(data / "b.stl", sphere(10, subdivisions=1))
+    write_stl(data / "part" / "c.stl", Mesh(box().vertices, box().faces[1:]))
+    command = [sys.executable, str(BENCHMARKS / "heal.py"), "--groups", "real", "--data", str(data), "--every", "2"]
+    command += ["--peers", "vhp --only-topology,trimesh.repair", "--json", str(target), "--timeout", "30"]
+    if not importlib.util.find_spec("networkx"):
+        pytest.skip("trimesh can't repair without networkx")
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "## real: 2 meshes" in done.stdout
+    rows = json.loads(target.read_text())["rows"]
+    assert {row["mesh"] for row in rows} == {"a.stl", "part/c.stl"}
+    assert len(rows) == 4
+    for row in rows:
+        assert row["sound"] and row["independent"] and row["triangles"] == 12
+        assert row["cpu_s"] >= 0 and row["wall_s"] > 0
+    assert {row["status"] for row in rows if row["mesh"] == "a.stl"} == {"unchanged", "changed"}
+    shown = subprocess.run([*command[:2], "--from-json", str(target)], capture_output=True, text=True)
+    assert shown.stdout.strip() in done.stdout
+
+
+def test_a_repairer_that_does_not_end_is_stopped(
+    healing: dict[str, ModuleType], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    heal = healing["heal"]
+    # Children load their own modules: a slow one is put in the way of the real one.
+    (tmp_path / "repairers.py").write_text(
+        "import time\n"
+        "def one_core(core): pass\n"
+        "def warm_up(name): pass\n"
+        "def timed(name, vertices, faces): time.sleep(60)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    contestant = heal.Contestant("trimesh.repair", 2.0, 0)
+    try:
+        row, made = contestant.run(arrays(box()), 0.5)
+    finally:
+        contestant.close()
+    assert made is None and row["error"] == "timeout"
+
+
+def test_invalid_outputs_count_for_nothing(healing: dict[str, ModuleType]) -> None:
+    heal = healing["heal"]
+    good = {
+        "group": "real", "mesh": "a", "repairer": "vhp", "status": "changed", "reason": "", "sound": True,
+        "independent": True, "flaws": [], "new_flaws": [], "triangles": 20, "triangles_in": 10, "min_quality": 0.5,
+        "mean_quality": 0.9, "min_edge_mm": 0.5, "limit_mm": 0.1, "lost_limit_mm": 0.2, "to_output_mm": 0.15,
+        "outside_mm": 0.0, "outside_at_mm": None, "volume_change": -0.001, "truth": None, "cpu_s": 2.0, "wall_s": 3.0,
+    }  # fmt: skip
+    rows = [
+        good,
+        {**good, "mesh": "b", "min_quality": 0.1, "to_output_mm": 0.5, "outside_mm": 0.5, "outside_at_mm": [1, 2, 3]},
+        {**good, "mesh": "c", "independent": False, "flaws": ["trimesh: not watertight"]},
+        {"group": "real", "mesh": "d", "repairer": "vhp", "triangles_in": 10, "error": "timeout", "reason": "60 s"},
+    ]
+    line = heal.summary_table(rows, ["vhp"]).splitlines()[2]
+    cells = [cell.strip() for cell in line.strip("|").split("|")]
+    assert cells[:6] == ["vhp", "50.0", "0.300", "25.0", "50.0", "50.0"]
+    assert cells[6:12] == ["0.325", "2", "1", "1", "0.100 (0.100)", "0"]
+    assert cells[12:] == ["2.00", "2.00", "2.0", "3.0+", "10"]
+    failures = heal.failure_table(rows, ["vhp"]).splitlines()[2]
+    assert [cell.strip() for cell in failures.strip("|").split("|")] == ["vhp", "2", "0", "1", "0", "0", "0", "0", "1"]
+    assert list(heal.remarks(rows, "vhp")) == [
+        "- b: material lost: 0.50 mm away at (1.0, 2.0, 3.0)",
+        "- c: not valid: changed: trimesh: not watertight",
+        "- d: not valid: timeout: 60 s",
+    ]

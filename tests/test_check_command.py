@@ -347,7 +347,7 @@ def test_memory_limit_is_an_error_of_that_tissue_alone(model):
 
 def test_a_model_of_which_nothing_could_be_processed_has_failed(model, monkeypatch):
     """Out of memory is no wrong usage, even if it hits every tissue."""
-    import vhp_cli.pipeline.check as pipeline
+    import vhp_cli.pipeline.measuring as pipeline
 
     def exhausted(*_: object, **__: object) -> None:
         raise MemoryError

@@ -6,6 +6,7 @@ Nothing but click is imported here, and a command's module only when that comman
 from __future__ import annotations
 
 import difflib
+import errno
 import importlib
 import os
 import sys
@@ -15,7 +16,7 @@ from typing import Any, NamedTuple
 import click
 
 from vhp_cli import __version__
-from vhp_cli.errors import UnreadableFileError, VhpError
+from vhp_cli.errors import NoRoomError, UnreadableFileError, VhpError
 
 # Exit codes beyond 0 (passed) and 1 (the gate found errors), which the commands return.
 USAGE = 2
@@ -35,6 +36,7 @@ class Entry(NamedTuple):
 
 COMMANDS = {
     "check": Entry("vhp_cli.commands.check:check", "Check a model; exit 1 if it is not fit for a solver."),
+    "heal": Entry("vhp_cli.commands.heal:heal", "Close, orient and repair the tissues of a model."),
     "phantom": Entry("vhp_cli.commands.phantom:phantom", "Write a synthetic model, sound or with known defects."),
     "rules": Entry("vhp_cli.commands.rules:rules", "List the rules, or explain one."),
 }
@@ -122,7 +124,7 @@ def _show_version(ctx: click.Context, parameter: click.Parameter, value: bool) -
 )
 @click.pass_context
 def cli(ctx: click.Context, quiet: bool, verbose: bool, no_color: bool) -> None:
-    """Check models made of tissue surface meshes before they go into a FEM or EM solver."""
+    """Check and heal models made of tissue surface meshes before they go into a FEM or EM solver."""
     if quiet and verbose:
         raise click.UsageError("--quiet and --verbose exclude each other.")
     if no_color:
@@ -169,7 +171,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if error.hint:
             _say(f"hint: {error.hint}")
         _traceback_if_wanted(settings)
-        return USAGE
+        return FAILED if isinstance(error, NoRoomError) else USAGE
     except MemoryError:
         _say("error: out of memory")
         _traceback_if_wanted(settings)
@@ -178,7 +180,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         place = f"{error.filename}: " if error.filename else ""
         _say(f"error: {place}{error.strerror or error}")
         _traceback_if_wanted(settings)
-        return USAGE
+        return FAILED if error.errno == errno.ENOSPC else USAGE
     except Exception as error:
         _say(f"internal error: {type(error).__name__}: {' '.join(str(error).split())}")
         if not _traceback_if_wanted(settings):

@@ -6,7 +6,7 @@ import difflib
 import math
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
@@ -19,6 +19,11 @@ from vhp_cli.tissues import guess_type, type_names
 
 UNITS = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "in": 25.4, "m": 1000.0}
 LEVELS: tuple[str, ...] = get_args(Level)
+# Stages with a section of their own. The values are those of the stage, which checks them when it runs.
+STAGES = ("heal",)
+
+# What a section says, by stage and key.
+StageTables = Mapping[str, Mapping[str, object]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +55,7 @@ class TissueOverride:
     match: str
     type: str | None
     rules: Mapping[str, RuleChange]
+    stages: StageTables = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +83,7 @@ class Settings:
     weld_tolerance_mm: float = 0.0
     gap_search_mm: float | None = None  # None: as far as the gap rule looks
     recursive: bool = False
+    stages: StageTables = field(default_factory=dict)
 
     def rule(self, code: str, *names: str) -> RuleSetting:
         """Return the setting of a rule for a tissue or a pair of tissues.
@@ -97,6 +104,15 @@ class Settings:
             if override.type and matches(name, override.match):
                 return override.type
         return guess_type(name)
+
+    def stage_tables(self, stage: str, name: str) -> list[tuple[str, Mapping[str, object]]]:
+        """Return what the settings say of a stage for one tissue, and where; later tables come before earlier ones."""
+        tables = [(f"[[tissue]] {override.match!r}: {stage}", override) for override in self.tissues]
+        return [
+            (where, override.stages[stage])
+            for where, override in tables
+            if stage in override.stages and matches(name, override.match)
+        ]
 
     def idle_patterns(self, names: Iterable[str]) -> list[str]:
         """Return the patterns of ``[[tissue]]`` and ``[[may-touch]]`` that match no tissue, as likely misspelt."""
@@ -136,11 +152,13 @@ class Settings:
                         }
                         for code, change in override.rules.items()
                     },
+                    **_copied(override.stages),
                 }
                 for override in self.tissues
             ],
             "nested": [{"inner": pair.first, "outer": pair.second} for pair in self.nested],
             "may-touch": [{"a": pair.first, "b": pair.second} for pair in self.may_touch],
+            **_copied(self.stages),
         }
 
 
@@ -187,7 +205,7 @@ def load_settings(
     table, where = _read_config(config, model)
     known = {
         "profile", "units", "weld-tolerance", "gap-search", "recursive", "select", "ignore",
-        "rules", "tissue", "nested", "may-touch",
+        "rules", "tissue", "nested", "may-touch", *STAGES,
     }  # fmt: skip
     _refuse_unknown(table, known, where)
     chosen = next(name for name in (profile, _string(table, "profile", where), "strict") if name is not None)
@@ -227,6 +245,7 @@ def load_settings(
         ),
         gap_search_mm=None if search is None else _not_nan(search, "gap search"),
         recursive=recursive or _flag(table, "recursive", where),
+        stages=_stage_tables(table, where),
     )
 
 
@@ -296,14 +315,33 @@ def _overrides(table: Mapping[str, Any], where: str) -> tuple[TissueOverride, ..
     overrides = []
     for index, row in enumerate(_rows(table, "tissue", where)):
         place = f"{where}: tissue[{index}]"
-        _refuse_unknown(row, {"match", "type", "rules"}, place)
+        _refuse_unknown(row, {"match", "type", "rules", *STAGES}, place)
         match, kind = _string(row, "match", place), _string(row, "type", place)
         if not match:
             raise UsageError(f'{place}: needs match = "pattern"')
         if kind is not None:
             _one_of(kind, type_names(), f"{place}.type")
-        overrides.append(TissueOverride(match, kind, _rule_changes(row.get("rules", {}), f"{place}.rules")))
+        changes = _rule_changes(row.get("rules", {}), f"{place}.rules")
+        overrides.append(TissueOverride(match, kind, changes, _stage_tables(row, place)))
     return tuple(overrides)
+
+
+def _stage_tables(table: Mapping[str, Any], where: str) -> StageTables:
+    tables: dict[str, dict[str, object]] = {}
+    for stage in STAGES:
+        values = table.get(stage, {})
+        if not isinstance(values, dict):
+            raise UsageError(f"{where}: {stage}: expected a table")
+        for key, value in values.items():
+            if not isinstance(value, bool | int | float | str):
+                raise UsageError(f"{where}: {stage}.{key}: expected a single value, not {value!r}")
+        if values:
+            tables[stage] = values
+    return tables
+
+
+def _copied(tables: StageTables) -> dict[str, dict[str, object]]:
+    return {stage: dict(values) for stage, values in tables.items()}
 
 
 def _pairs(table: Mapping[str, Any], key: str, fields: tuple[str, str], where: str) -> tuple[PairPattern, ...]:

@@ -45,5 +45,9 @@ class UnreadableFileError(VhpError):
         self.where = where
 
 
+class NoRoomError(VhpError):
+    """The disk is full, or a quota or limit of file size is reached: the work can't go on (exit code 3)."""
+
+
 class KernelError(VhpError):
     """The compiled kernels are missing, of another version, or out of memory."""

@@ -126,6 +126,56 @@ class TissueMeasures(TypedDict):
     self_intersections: SelfIntersections
 
 
+class Action(TypedDict):
+    """One thing that a stage did to a tissue; what was added or removed has a size and a place."""
+
+    step: str  # such as "weld", "holes", "union", "remesh"
+    message: str  # what it did, in one clause
+    count: int
+    places: list[Place]  # of the first or largest; `value` is a size in mm
+    area_mm2: NotRequired[float]  # of surface added or removed
+    volume_mm3: NotRequired[float]  # of material added or removed
+
+
+class Distance(TypedDict):
+    """How far one surface lies from another, sampled densely on the first."""
+
+    max: float
+    mean: float
+    xyz_mm: Point | None  # where it is farthest
+
+
+class Deviation(TypedDict):
+    """How far input and output of a stage lie apart, both ways."""
+
+    max: float  # of both ways
+    mean: float
+    to_output: Distance  # from the input's surface to the output
+    to_input: Distance  # from the output's surface to the input
+    lost_area_mm2: float  # of the input's surface beyond `lost_limit_mm` from the output
+    lost_limit_mm: float
+    lost_places: list[Place]  # the farthest place of each part that was lost; `value` is its distance
+
+
+class Before(TissueMeasures):
+    """The input of a stage, measured as its output is."""
+
+    file: str
+    sha256: str
+    format: str
+    findings: list[Finding]
+
+
+class Introduced(TypedDict):
+    """A defect that the output of a stage has, and the input had not, or not so often."""
+
+    rule: str
+    before: int
+    after: int
+    message: str
+    tissues: list[str]
+
+
 class TissueRecord(TissueMeasures):
     """One tissue of the report."""
 
@@ -135,6 +185,14 @@ class TissueRecord(TissueMeasures):
     format: str
     tissue_type: str
     findings: list[Finding]
+    # After a stage:
+    status: NotRequired[Literal["changed", "unchanged", "refused", "failed"]]
+    reason: NotRequired[str]  # why it was refused or failed
+    deviation_mm: NotRequired[Deviation | None]  # None: nothing could be compared
+    volume_change: NotRequired[float | None]  # of the input's volume; None where that one is not defined
+    actions: NotRequired[list[Action]]
+    introduced: NotRequired[list[Introduced]]
+    before: NotRequired[Before]
 
 
 class PairMeasures(TypedDict):
@@ -170,6 +228,7 @@ class Summary(TypedDict):
     warnings: int
     notes: int
     counts: dict[str, int]  # findings by rule
+    status: NotRequired[dict[str, int]]  # after a stage: tissues by status
 
 
 class Report(TypedDict):

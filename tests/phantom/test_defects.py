@@ -341,3 +341,12 @@ def test_command_writes_other_formats(tmp_path):
     assert {path.suffix for path in tmp_path.iterdir()} == {".ply", ".json"}
     rules = [one["rule"] for one in json.loads((tmp_path / "planted.json").read_text())["planted"]]
     assert rules and not any(rule.startswith("F") for rule in rules)
+
+
+def test_the_kinds_of_defects_can_be_chosen(tmp_path):
+    arguments = ("--triangles", 20_000, "--defects", 4, "--defect-rules", "t,X001,F003")
+    assert run(tmp_path / "a", *arguments).exit_code == 0
+    found = {one["rule"] for one in json.loads((tmp_path / "a" / "planted.json").read_text())["planted"]}
+    assert found == {"T001", "T002", "T003", "T004", "T005", "T006", "X001", "F003"}
+    for wrong in (["--defect-rules", "T"], ["--defects", 1, "--defect-rules", "T,Z"]):
+        assert run(tmp_path / "b", *wrong).exit_code != 0 and not (tmp_path / "b").exists()

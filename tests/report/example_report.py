@@ -200,6 +200,48 @@ def sound() -> Report:
     return build([tissue("Liver", "Liver.stl", "organ", 3312, 0.5, 1.25)], [], [], {"Liver": None})
 
 
+def healed() -> Report:
+    """Return the example as the report of a stage, with every status."""
+    report = example()
+    report["command"] = "heal"
+    places = [{"xyz_mm": [12.3456, -7.8, 1023.0], "face": None, "value": 1.5}]
+    off = {"max": 0.0213, "mean": 0.0015, "xyz_mm": [12.0, -7.0, 1023.0]}
+    deviation = {
+        "max": 0.0213, "mean": 0.0015, "to_output": off, "to_input": {"max": 0.0, "mean": 0.0, "xyz_mm": None},
+        "lost_area_mm2": 0.0, "lost_limit_mm": 0.1, "lost_places": [],
+    }  # fmt: skip
+    none = {**deviation, "max": 0.0, "mean": 0.0, "to_output": deviation["to_input"]}
+    actions = [
+        {"step": "holes", "message": "closed 2 holes", "count": 2, "places": places, "area_mm2": 3.5},
+        {"step": "remesh", "message": "41 triangles | improved", "count": 41, "places": []},
+    ]
+    contact = {"rule": "P001", "before": 0, "after": 3, "message": "cross", "tissues": [report["tissues"][1]["name"]]}
+    for record, (status, reason) in zip(
+        report["tissues"],
+        (
+            ("unchanged", ""),
+            ("changed", ""),
+            ("refused", "holds 0.01 mm of [sheet]; thicken it"),
+            ("changed", ""),
+            ("failed", "time limit: the worker took more than 120 s"),
+        ),
+        strict=True,
+    ):
+        made = status == "changed"
+        before = {key: value for key, value in record.items() if key not in ("name", "tissue_type")}
+        record.update(  # type: ignore[call-arg]
+            status=status,
+            reason=reason,
+            deviation_mm=deviation if made else none if record["sha256"] else None,
+            volume_change=-0.00025 if record["name"] == "Ulna_Radius_left" else None,
+            actions=actions if made else [],
+            introduced=[contact] if record["name"].startswith("VHP") else [],
+            before=before,
+        )
+    report["summary"]["status"] = {"changed": 2, "unchanged": 1, "refused": 1, "failed": 1}
+    return copy.deepcopy(report)
+
+
 def empty() -> Report:
     """Return a report of no tissue at all."""
     return build([], [], [], {})

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from example_report import empty, example, sound
+from example_report import empty, example, healed, sound
 
 from vhp_cli.report import FORMATS, render
 
@@ -35,6 +35,16 @@ def compare(name: str, text: str, request: pytest.FixtureRequest) -> None:
 @pytest.mark.parametrize("form", FORMATS)
 def test_golden(form: str, request: pytest.FixtureRequest) -> None:
     compare(f"example.{SUFFIXES[form]}", render(example(), form, base="model/"), request)
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_golden_stage(form: str, request: pytest.FixtureRequest) -> None:
+    compare(f"healed.{SUFFIXES[form]}", render(healed(), form, base="out/"), request)
+
+
+def test_golden_stage_narrow_and_verbose(request: pytest.FixtureRequest) -> None:
+    compare("healed-80.txt", render(healed(), "table", width=80), request)
+    compare("healed-verbose.txt", render(healed(), "table", width=120, verbose=True), request)
 
 
 def test_golden_narrow_table(request: pytest.FixtureRequest) -> None:

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
+from vhp_cli.commands.common import (
+    ERRORS,
+    FAILED,
+    PASSED,
+    ProgressBar,
+    report_base,
+    report_target,
+    show_report,
+    write_reports,
+)
 from vhp_cli.commands.options import (
-    REPORT_SUFFIXES,
     judging_options,
     model_options,
     report_options,
     run_options,
 )
-from vhp_cli.errors import UsageError
-
-if TYPE_CHECKING:
-    from vhp_cli.measures import Report
-    from vhp_cli.pipeline.check import Progress
-
-PASSED, ERRORS, FAILED = 0, 1, 3
 
 
 @click.command()
@@ -90,7 +90,7 @@ def check(
         gap_search_mm=gap_search,
         recursive=recursive,
     )
-    targets = [_target(report, form) for report in reports]
+    targets = [report_target(report, form) for report in reports]
     if output is not None:
         targets.append((output / "report.json", "json"))
     old_report = None
@@ -112,7 +112,7 @@ def check(
     from vhp_cli.pipeline.cache import default_directory
     from vhp_cli.pipeline.check import check_model, with_findings
 
-    with _progress(quiet=talk.get("quiet", False)) as progress:
+    with ProgressBar(quiet=talk.get("quiet", False)) as progress:
         checked = check_model(
             found,
             settings,
@@ -126,81 +126,9 @@ def check(
         from vhp_cli.report.baseline import mark_known
 
         report = with_findings(report, mark_known(report["findings"], old_report))
-    _write(report, targets, _base(model))
+    write_reports(report, targets, report_base(model))
     to_stdout = next((target_form for path, target_form in targets if path is None), form)
-    _show(report, to_stdout or "table", _base(model), nesting=nesting, **talk)
+    show_report(report, to_stdout or "table", report_base(model), nesting=nesting, **talk)
     if checked.failed:
         ctx.exit(FAILED)
     ctx.exit(PASSED if report["summary"]["passed"] else ERRORS)
-
-
-def _target(report: str, form: str | None) -> tuple[Path | None, str]:
-    """Return where a report goes (None: stdout) and its form."""
-    if report == "-":
-        return None, form or "json"
-    path = Path(report)
-    known = REPORT_SUFFIXES.get(path.suffix.lower())
-    if known is None:
-        raise UsageError(
-            f"--report {report}: no report format has the suffix {path.suffix!r}",
-            hint=f"suffixes: {' '.join(REPORT_SUFFIXES)}",
-        )
-    return path, known
-
-
-def _base(model: tuple[Path, ...]) -> str:
-    """Return the directory to which the report's file names are relative, as CI tools want to see it."""
-    return f"{model[0].as_posix().rstrip('/')}/" if len(model) == 1 and model[0].is_dir() else ""
-
-
-def _write(report: Report, targets: list[tuple[Path | None, str]], base: str) -> None:
-    from vhp_cli.formats.atomic import write_atomically
-    from vhp_cli.report import render
-
-    for path, form in targets:
-        if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(path, render(report, form, base=base).encode())
-
-
-def _show(report: Report, form: str, base: str, *, nesting: bool, quiet: bool = False, verbose: bool = False) -> None:
-    if form != "table":
-        from vhp_cli.report import render
-
-        click.echo(render(report, form, base=base), nl=False)
-    elif not quiet:
-        from rich.console import Console
-
-        from vhp_cli.report import print_table
-
-        print_table(report, Console(), verbose=verbose, nesting=nesting)
-
-
-class _progress:
-    """A progress bar on stderr, shown only to a person who has waited for a moment."""
-
-    def __init__(self, *, quiet: bool) -> None:
-        self._wanted = not quiet and sys.stderr.isatty()
-        self._bar: Any = None
-
-    def __enter__(self) -> Progress | None:
-        if not self._wanted:
-            return None
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
-        self._bar.start()
-        steps: dict[str, Any] = {}
-
-        def report(step: str, done: int, total: int) -> None:
-            if step not in steps:
-                steps[step] = self._bar.add_task(step, total=total)
-            self._bar.update(steps[step], completed=done)
-
-        return report
-
-    def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.stop()

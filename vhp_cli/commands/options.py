@@ -22,7 +22,8 @@ FORMATS = ("table", "json", "jsonl", "csv", "markdown", "junit", "sarif", "githu
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
-def _comma_list(ctx: click.Context, parameter: click.Parameter, value: str | None) -> list[str]:
+def comma_list(ctx: click.Context, parameter: click.Parameter, value: str | None) -> list[str]:
+    """Return the parts of a text between commas."""
     if value is None:
         return []
     parts = [part.strip() for part in value.split(",")]
@@ -65,11 +66,11 @@ judging_options = _combined(
     click.option("--profile", metavar="NAME", help="What the model must be fit for: strict, hfss, cst, print."),
     click.option(
         "--select",
-        callback=_comma_list,
+        callback=comma_list,
         metavar="RULES",
         help="Only these rules, and errors in files: X,T001,...",
     ),
-    click.option("--ignore", callback=_comma_list, metavar="RULES", help="Leave these rules out."),
+    click.option("--ignore", callback=comma_list, metavar="RULES", help="Leave these rules out."),
     click.option("--min-q", type=click.FloatRange(0, 1), metavar="Q", help="Limit of Q001, q = 2 r_in / r_out."),
     click.option("--min-edge", type=click.FloatRange(min=0), metavar="MM", help="Limit of Q002, shortest edge."),
     click.option("--gap", type=click.FloatRange(min=0), metavar="MM", help="Limit of P005, gap between tissues."),
@@ -101,4 +102,39 @@ report_options = _combined(
 run_options = _combined(
     click.option("--jobs", "-j", type=click.IntRange(min=1), metavar="N", help="Threads. [default: all cores]"),
     click.option("--cache/--no-cache", default=True, help="Keep results between runs. [default: on]"),
+)
+
+stage_options = _combined(
+    click.option(
+        "-o",
+        "--output",
+        required=True,
+        metavar="OUT",
+        type=click.Path(path_type=Path, file_okay=False),
+        help="Directory for the results, under the names of the inputs, and report.json. If a run of the same settings "
+        "was interrupted there, it is taken up.",
+    ),
+    click.option("--overwrite", is_flag=True, help="Do everything anew, whatever OUT holds."),
+    click.option("--dry-run", is_flag=True, help="List the tissues and what would be done."),
+)
+
+worker_options = _combined(
+    click.option("--jobs", "-j", type=click.IntRange(min=1), metavar="N", help="Workers. [default: all cores]"),
+    click.option(
+        "--timeout",
+        type=click.FloatRange(min=0, min_open=True),
+        default=120.0,
+        show_default=True,
+        metavar="S",
+        help="Seconds for one tissue.",
+    ),
+    click.option(
+        "--memory",
+        type=click.FloatRange(min=0, min_open=True),
+        default=4.0,
+        show_default=True,
+        metavar="GB",
+        help="Memory for one worker.",
+    ),
+    click.option("--cache/--no-cache", default=True, help="Keep measures between runs. [default: on]"),
 )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from vhp_cli.commands.options import comma_list
 from vhp_cli.errors import UsageError, VhpError
 
 if TYPE_CHECKING:
@@ -32,6 +33,12 @@ PLANTED_FILE = "planted.json"
     help=f"Plant defects, chosen by this seed, and list them in OUT/{PLANTED_FILE}.",
 )
 @click.option(
+    "--defect-rules",
+    callback=comma_list,
+    metavar="RULES",
+    help="Plant defects of these rules only, by code or beginning of a code: T,X,Q,F003. [default: all kinds]",
+)
+@click.option(
     "--format",
     "form",
     type=click.Choice(("stl", "ply", "obj")),
@@ -42,7 +49,14 @@ PLANTED_FILE = "planted.json"
 @click.option("--overwrite", is_flag=True, help="Write into a directory that is not empty.")
 @click.pass_context
 def phantom(
-    ctx: click.Context, out: Path, triangles: int, tissues: int | None, defects: int | None, form: str, overwrite: bool
+    ctx: click.Context,
+    out: Path,
+    triangles: int,
+    tissues: int | None,
+    defects: int | None,
+    defect_rules: list[str],
+    form: str,
+    overwrite: bool,
 ) -> None:
     """Write a synthetic torso into the directory OUT, one file for each tissue.
 
@@ -52,17 +66,18 @@ def phantom(
     from vhp_cli.formats import write_mesh
     from vhp_cli.phantom import generate, plant_defects, plant_file_defects
 
+    kinds = _kinds(defect_rules, defects)
     _prepare(out, overwrite)
     model = generate(triangles, tissues)
     planted: list[Planted] = []
     if defects is not None:
-        model, planted = plant_defects(model, defects)
+        model, planted = plant_defects(model, defects, kinds=kinds)
     quiet = bool((ctx.obj or {}).get("quiet"))
     for name, mesh in model.items():
         write_mesh(out / f"{name}.{form}", mesh)
     if defects is not None:
         if form == "stl":
-            planted += plant_file_defects(out, defects, {name for one in planted for name in one.tissues})
+            planted += plant_file_defects(out, defects, {name for one in planted for name in one.tissues}, kinds)
         _write_list(out / PLANTED_FILE, defects, planted)
         for one in planted:
             place = "" if one.xyz_mm is None else " at " + ", ".join(f"{value:.1f}" for value in one.xyz_mm) + " mm"
@@ -70,6 +85,19 @@ def phantom(
     if not quiet:
         number = sum(len(mesh.faces) for mesh in model.values())
         click.echo(f"wrote {len(model)} tissues with {number:,} triangles to {out}", err=True)
+
+
+def _kinds(chosen: list[str], seed: int | None) -> list[str]:
+    """Return the rules that may be broken."""
+    from vhp_cli.phantom import PLANTED_RULES
+
+    if chosen and seed is None:
+        raise UsageError("--defect-rules says which defects, and --defects is missing")
+    for text in chosen:
+        if not any(rule.startswith(text.upper()) for rule in PLANTED_RULES):
+            raise UsageError(f"--defect-rules: no defect {text!r} can be planted", hint=" ".join(PLANTED_RULES))
+    prefixes = tuple(text.upper() for text in chosen) or ("",)
+    return [rule for rule in PLANTED_RULES if rule.startswith(prefixes)]
 
 
 def _prepare(out: Path, overwrite: bool) -> None:

@@ -27,6 +27,7 @@ __all__ = [
     "WRITERS",
     "FileIssue",
     "Reading",
+    "mesh_bytes",
     "parse_mesh",
     "read_bytes",
     "read_mesh",
@@ -145,6 +146,11 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
     VhpError
         If there is no writer for the suffix, a coordinate is not finite or beyond 1e30, or the file system refuses.
     """
+    write_atomically(path, mesh_bytes(path, mesh))
+
+
+def mesh_bytes(path: Path, mesh: Mesh) -> bytes:
+    """Return the contents of a mesh file, in the format that the suffix of its path names; see `write_mesh`."""
     path = Path(path)
     writer = WRITERS.get(path.suffix.lower())
     if writer is None:
@@ -153,4 +159,4 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
     if wild.any():
         vertex = int(np.flatnonzero(wild)[0])
         raise VhpError(f"can't write {path}: vertex {vertex} is not finite or beyond 1e30 mm")
-    write_atomically(path, writer(mesh))
+    return writer(mesh)

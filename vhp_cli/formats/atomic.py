@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import secrets
 from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
-from vhp_cli.errors import VhpError
+from vhp_cli.errors import NoRoomError, VhpError
+
+_NO_ROOM = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
 
 
 def write_atomically(path: Path, data: bytes | Callable[[BinaryIO], None]) -> None:
@@ -24,9 +27,11 @@ def write_atomically(path: Path, data: bytes | Callable[[BinaryIO], None]) -> No
 
     Raises
     ------
+    NoRoomError
+        If the disk is full.
     VhpError
-        If the file system refuses (no such directory, no permission, disk full); the temporary file is removed and
-        an existing file under the final name is left as it was.
+        If the file system refuses for another reason (no such directory, no permission). In both cases the temporary
+        file is removed and an existing file under the final name is left as it was.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name[:100]}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
@@ -47,10 +52,15 @@ def write_atomically(path: Path, data: bytes | Callable[[BinaryIO], None]) -> No
             raise
         _sync_directory(path.parent)
     except OSError as error:
-        raise VhpError(
-            f"can't write {path}: {error.strerror or error}",
-            hint="check that the directory exists, may be written to, and has room",
-        ) from error
+        raise refused(path, error) from error
+
+
+def refused(path: Path, error: OSError) -> VhpError:
+    """Return what to raise where the file system refuses to write a file."""
+    message = f"can't write {path}: {error.strerror or error}"
+    if error.errno in _NO_ROOM:
+        return NoRoomError(message, hint="make room, and run the command again; what is finished is kept")
+    return VhpError(message, hint="check that the directory exists, may be written to, and has room")
 
 
 def _sync_directory(directory: Path) -> None:

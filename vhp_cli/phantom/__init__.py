@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from vhp_cli.phantom.defects import plant_defects
-from vhp_cli.phantom.file_defects import plant_file_defects
+from vhp_cli.phantom.defects import RULES, plant_defects
+from vhp_cli.phantom.file_defects import FILE_PLANTS, plant_file_defects
 from vhp_cli.phantom.model import generate
 from vhp_cli.phantom.sites import Planted
 
-__all__ = ["Planted", "generate", "plant_defects", "plant_file_defects"]
+PLANTED_RULES = (*RULES, *FILE_PLANTS)
+
+__all__ = ["PLANTED_RULES", "Planted", "generate", "plant_defects", "plant_file_defects"]

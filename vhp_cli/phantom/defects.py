@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 
 import numpy as np
 
@@ -23,7 +23,7 @@ TRIALS = 6
 
 
 def plant_defects(
-    tissues: dict[str, Mesh], seed: int, count: int | None = None
+    tissues: dict[str, Mesh], seed: int, count: int | None = None, kinds: Collection[str] = RULES
 ) -> tuple[dict[str, Mesh], list[Planted]]:
     """Spoil some tissues of a sound model.
 
@@ -35,6 +35,8 @@ def plant_defects(
         Decides what is planted and where; the same seed gives the same defects.
     count
         Number of defects; default: 8 to 14, each kind once as far as the number goes.
+    kinds
+        The rules that may be broken; others of them than `RULES` are left out.
 
     Returns
     -------
@@ -43,7 +45,7 @@ def plant_defects(
     list of Planted
         What was done. It is shorter than asked for only if there was no room left.
     """
-    return _Planter(tissues, seed).plant(count)
+    return _Planter(tissues, seed).plant(count, [rule for rule in RULES if rule in kinds])
 
 
 class _Planter:
@@ -55,10 +57,10 @@ class _Planter:
         self.upper = {name: mesh.vertices.max(axis=0) for name, mesh in tissues.items()}
         self.trees: dict[str, Tree] = {}
 
-    def plant(self, count: int | None) -> tuple[dict[str, Mesh], list[Planted]]:
+    def plant(self, count: int | None, kinds: list[str]) -> tuple[dict[str, Mesh], list[Planted]]:
         number = int(self.random.integers(8, 15)) if count is None else count
-        rounds = -(-number // len(RULES))
-        rules = [str(rule) for _ in range(rounds) for rule in self.random.permutation(RULES)]
+        rounds = -(-number // len(kinds)) if kinds else 0
+        rules = [str(rule) for _ in range(rounds) for rule in self.random.permutation(kinds)]
         # Defects between tissues first: they need two neighbours without a defect.
         wanted = sorted(rules[:number], key=lambda rule: rule not in PAIR_PLANTS)
         planted = [done for rule in wanted if (done := self._plant_one(rule)) is not None]

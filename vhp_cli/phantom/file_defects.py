@@ -42,7 +42,9 @@ FILE_PLANTS: dict[str, Callable[[bytes], tuple[bytes, str]]] = {
 }
 
 
-def plant_file_defects(directory: Path, seed: int, avoid: Collection[str] = ()) -> list[Planted]:
+def plant_file_defects(
+    directory: Path, seed: int, avoid: Collection[str] = (), kinds: Collection[str] = tuple(FILE_PLANTS)
+) -> list[Planted]:
     """Spoil one or two of the binary STL files of a directory.
 
     Parameters
@@ -53,6 +55,8 @@ def plant_file_defects(directory: Path, seed: int, avoid: Collection[str] = ()) 
         Decides which files and how.
     avoid
         Tissues that have a defect already.
+    kinds
+        The rules that may be broken.
 
     Returns
     -------
@@ -61,7 +65,9 @@ def plant_file_defects(directory: Path, seed: int, avoid: Collection[str] = ()) 
     """
     random = np.random.default_rng([seed, 1])
     paths = [path for path in sorted(Path(directory).glob("*.stl")) if path.stem not in avoid]
-    rules = random.permutation(list(FILE_PLANTS))[: min(int(random.integers(1, 3)), len(paths))]
+    rules = random.permutation([rule for rule in FILE_PLANTS if rule in kinds])[
+        : min(int(random.integers(1, 3)), len(paths))
+    ]
     planted = []
     for rule, i in zip(rules, random.permutation(len(paths)), strict=False):
         data, note = FILE_PLANTS[str(rule)](paths[i].read_bytes())

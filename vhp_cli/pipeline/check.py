@@ -16,16 +16,25 @@ from typing import Any
 import numpy as np
 
 from vhp_cli import __version__, formats
-from vhp_cli.config import UNITS, Settings
+from vhp_cli.config import Settings
 from vhp_cli.errors import UnreadableFileError, UsageError, VhpError
 from vhp_cli.gate import failure_findings, model_findings, pair_findings, sort_findings, tissue_findings
 from vhp_cli.inspection.nesting import nesting
 from vhp_cli.inspection.proximity import inspect_pair, near_pairs
-from vhp_cli.inspection.tissue import ShapeLimits, Surface, inspect_nothing, inspect_tissue, restore_surface
+from vhp_cli.inspection.tissue import Surface, inspect_nothing, restore_surface
 from vhp_cli.measures import Defects, Finding, PairMeasures, PairRecord, Report, TissueMeasures, TissueRecord
-from vhp_cli.mesh import Mesh
 from vhp_cli.model import Model, TissueFile
 from vhp_cli.pipeline.cache import Cache, file_facts
+from vhp_cli.pipeline.measuring import (
+    Issue,
+    geometry_key,
+    issues_of,
+    measure,
+    number_in_file,
+    parse_in_mm,
+    shape_limits,
+    unreadable,
+)
 
 SCHEMA = "vhp-report/1"
 
@@ -34,15 +43,6 @@ _BOX_ROUNDING_MM = 1e-5
 
 Progress = Callable[[str, int, int], None]
 _Task = tuple[Callable[..., Any], tuple[Any, ...]]
-
-
-@dataclass(frozen=True, slots=True)
-class Issue:
-    """What a reader said of a file, in the form in which it is cached."""
-
-    rule: str
-    count: int
-    detail: str
 
 
 @dataclass(slots=True)
@@ -156,31 +156,22 @@ def _run(executor: ThreadPoolExecutor, tasks: Iterable[_Task], step: str, progre
 
 def _inspect(tissue: _Tissue, settings: Settings, cache: Cache) -> None:
     name = tissue.source.name
-    limits = ShapeLimits(*(settings.rule(code, name).limit or 0.0 for code in ("Q001", "Q002", "X005")))
+    limits = shape_limits(settings, name)
     try:
         tissue.sha256, data = _identify(tissue.source.path, cache)
-        key = f"{_content(tissue)} {_geometry_key(settings)} {limits}"
+        key = f"{_content(tissue)} {geometry_key(settings)} {limits}"
         kept = cache.get("tissues", key)
         if kept is None:
-            if data is None:
-                data = _unchanged_bytes(tissue)
-            reading = formats.parse_mesh(tissue.source.path, data, weld_tolerance=_weld(settings))
-            measures, defects = inspect_nothing(), Defects()
-            if len(reading.mesh.faces):
-                mesh = _in_mm(reading.mesh, settings)
-                measures, defects, tissue.surface = inspect_tissue(mesh, limits, unreferenced=reading.unreferenced)
+            reading = parse_in_mm(tissue.source.path, _unchanged_bytes(tissue) if data is None else data, settings)
             tissue.face_number = reading.face_number
-            for place in (place for defect in defects.values() for place in defect["places"]):
-                if place["face"] is not None:
-                    place["face"] = _in_file(tissue, place["face"])
-            issues = [[issue.rule, issue.count, issue.detail] for issue in reading.issues]
+            measures, defects, tissue.surface = measure(reading, limits)
+            issues = [[issue.rule, issue.count, issue.detail] for issue in issues_of(reading)]
             kept = {"format": reading.format, "issues": issues, "measures": measures, "defects": defects}
             cache.put("tissues", key, kept)
         tissue.format, tissue.measures, tissue.defects = kept["format"], kept["measures"], kept["defects"]
         tissue.issues = [Issue(*issue) for issue in kept["issues"]]
     except UnreadableFileError as error:
-        where = f" ({error.where})" if error.where else ""
-        tissue.issues = [Issue("F001", 1, f"{error.message}{where}" + (f"; {error.hint}" if error.hint else ""))]
+        tissue.issues = [unreadable(error)]
     except Exception as error:
         # Whatever goes wrong with one tissue, the others are still checked, and the exit code says so.
         tissue.failed = True
@@ -211,10 +202,9 @@ def _surface(tissue: _Tissue, settings: Settings) -> Surface:
     """Return the surface of a tissue, read again if its measures came from the cache."""
     with tissue.lock:
         if tissue.surface is None:
-            data = _unchanged_bytes(tissue)
-            reading = formats.parse_mesh(tissue.source.path, data, weld_tolerance=_weld(settings))
+            reading = parse_in_mm(tissue.source.path, _unchanged_bytes(tissue), settings)
             tissue.face_number = reading.face_number
-            tissue.surface = restore_surface(_in_mm(reading.mesh, settings), tissue.measures)
+            tissue.surface = restore_surface(reading.mesh, tissue.measures)
         return tissue.surface
 
 
@@ -237,13 +227,16 @@ def _check_pairs(
 
     def one(index: int) -> None:
         a, b = (solid[tissue] for tissue in candidates[index])
-        key = f"{_content(a)} {_content(b)} {_geometry_key(settings)} {search!r}"
+        key = f"{_content(a)} {_content(b)} {geometry_key(settings)} {search!r}"
         try:
             kept = cache.get("pairs", key)
             if kept is None:
                 found = inspect_pair(_surface(a, settings), _surface(b, settings), search)
                 if found is not None and found["faces"] is not None:
-                    found["faces"] = [_in_file(a, found["faces"][0]), _in_file(b, found["faces"][1])]
+                    found["faces"] = [
+                        number_in_file(tissue.face_number, face)
+                        for tissue, face in zip((a, b), found["faces"], strict=True)
+                    ]
                 kept = {"measures": found}
                 cache.put("pairs", key, kept)
             measures: PairMeasures | None = kept["measures"]
@@ -285,7 +278,7 @@ def _report(
                 "sha256": tissue.sha256,
                 "format": tissue.format,
                 "tissue_type": settings.tissue_type(source.name),
-                **tissue.measures,
+                **tissue.measures,  # type: ignore[typeddict-item]
                 "findings": [],
             }
         )
@@ -353,27 +346,9 @@ def _gap_search(settings: Settings, names: Sequence[str]) -> float:
     return max(settings.gap_search_mm or 0.0, *needed, 0.0)
 
 
-def _weld(settings: Settings) -> float:
-    return settings.weld_tolerance_mm / UNITS[settings.units]
-
-
-def _in_mm(mesh: Mesh, settings: Settings) -> Mesh:
-    scale = UNITS[settings.units]
-    return mesh if scale == 1.0 else Mesh(mesh.vertices * scale, mesh.faces)
-
-
-def _geometry_key(settings: Settings) -> str:
-    return f"{settings.units} {settings.weld_tolerance_mm!r}"
-
-
 def _content(tissue: _Tissue) -> str:
     """Identify what was read: the bytes, and the format that the suffix names."""
     return f"{tissue.sha256} {tissue.source.path.suffix.lower()}"
-
-
-def _in_file(tissue: _Tissue, face: int) -> int:
-    """Return the number of a face as its file counts, where the reader left faces out or cut polygons."""
-    return face if tissue.face_number is None else int(tissue.face_number[face])
 
 
 def _size(path: Path) -> int:

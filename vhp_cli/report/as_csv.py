@@ -38,8 +38,16 @@ _MEASURES: dict[str, tuple[str | int, ...]] = {
 # What heal, smooth and the like add to a tissue.
 _STAGE: dict[str, tuple[str | int, ...]] = {
     "status": ("status",),
+    "reason": ("reason",),
     "deviation_max_mm": ("deviation_mm", "max"),
     "deviation_mean_mm": ("deviation_mm", "mean"),
+    "volume_change": ("volume_change",),
+    **{f"{key}_before": ("before", key) for key in ("triangles", "closed", "manifold", "oriented", "outward")},
+    "self_intersection_pairs_before": ("before", "self_intersections", "pairs"),
+    "q_min_before": ("before", "quality", "min"),
+    "edge_min_before_mm": ("before", "edge_mm", "min"),
+    "volume_before_mm3": ("before", "volume_mm3"),
+    "sha256_before": ("before", "sha256"),
 }
 _VERDICT = ("name", "file", "tissue_type", "verdict", "errors", "warnings", "notes", "known", "rules")
 

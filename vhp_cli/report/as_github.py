@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from vhp_cli.measures import Finding, Report
+from vhp_cli.measures import Finding, Report, TissueRecord
 from vhp_cli.report import text
-from vhp_cli.report.verdict import all_findings, by_rule, closing_line, rule_name
+from vhp_cli.report.verdict import all_findings, by_rule, closing_line, left_alone, rule_name, stage_words
 
 _COMMAND = {"error": "error", "warning": "warning", "note": "notice"}
 
@@ -30,6 +30,14 @@ def _line(finding: Finding, files: dict[str, str], base: str) -> str:
     return f"::{command} {','.join(properties)}::{_data(chr(10).join(lines))}"
 
 
+def _stage_line(tissue: TissueRecord, base: str) -> str:
+    command = "error" if tissue.get("status") == "failed" else "warning"
+    file = _property(text.visible(text.file_path(base, tissue["file"])))
+    return f"::{command} file={file},title={tissue.get('status')}::{_data(text.visible(tissue['name']))}: " + _data(
+        stage_words(tissue)
+    )
+
+
 def render_github(report: Report, *, base: str = "") -> str:
     """Return one workflow command per finding, worst first, and the verdict as a plain line.
 
@@ -42,4 +50,5 @@ def render_github(report: Report, *, base: str = "") -> str:
     """
     files = {tissue["name"]: tissue["file"] for tissue in report["tissues"]}
     lines = [_line(finding, files, base) for _, group in by_rule(all_findings(report)) for finding in group]
+    lines += [_stage_line(tissue, base) for tissue in left_alone(report)]
     return "\n".join((*lines, f"vhp {text.visible(report['command'])} {closing_line(report)}")) + "\n"

@@ -23,10 +23,14 @@ _RECORDS = (
     measures.TissueRecord,
     measures.PairRecord,
     measures.Place,
+    measures.Introduced,
+    measures.Action,
+    measures.Deviation,
+    measures.Distance,
 )
 _FIRST = (
     *("record", "schema", "rule", "level", "passed"),
-    *("name", "file", "sha256", "format", "tissue_type", "a", "b", "min", "mean", "max"),
+    *("step", "name", "file", "sha256", "format", "tissue_type", "status", "reason", "a", "b", "min", "mean", "max"),
 )
 _RANK = {
     key: rank for rank, key in enumerate(dict.fromkeys(chain(_FIRST, *(record.__annotations__ for record in _RECORDS))))

@@ -8,13 +8,15 @@ from dataclasses import dataclass, field
 
 from vhp_cli.measures import Finding, Report
 from vhp_cli.report import text
-from vhp_cli.report.verdict import all_findings, rule_name, seconds
+from vhp_cli.report.verdict import all_findings, rule_name, seconds, stage_words
 
 
 @dataclass(slots=True)
 class _Case:
     name: str
     findings: list[Finding] = field(default_factory=list)
+    stage: str = ""  # what a stage made of the tissue
+    error: str = ""  # why it could not be processed
 
     @property
     def failures(self) -> list[Finding]:
@@ -27,7 +29,14 @@ class _Case:
 
 def _suites(report: Report) -> dict[str, list[_Case]]:
     """Group the findings into cases: tissues first (all of them), then pairs and the model (only with findings)."""
-    tissues = [_Case(text.visible(tissue["name"])) for tissue in report["tissues"]]
+    tissues = [
+        _Case(
+            text.visible(tissue["name"]),
+            stage=stage_words(tissue),
+            error=text.visible(tissue.get("reason", "")) if tissue.get("status") == "failed" else "",
+        )
+        for tissue in report["tissues"]
+    ]
     by_name = dict(zip((tissue["name"] for tissue in report["tissues"]), tissues, strict=True))
     pairs: dict[tuple[str, ...], _Case] = {}
     model = _Case("model")
@@ -60,8 +69,11 @@ def _case_element(classname: str, case: _Case) -> ElementTree.Element:
             element, "failure", message=text.visible(finding["message"]), type=rule_name(finding["rule"])
         )
         failure.text = _detail(finding)
-    if case.remarks:
-        lines = [
+    if case.error:
+        ElementTree.SubElement(element, "error", message=case.error, type="failed")
+    if case.remarks or case.stage:
+        lines = [case.stage] if case.stage else []
+        lines += [
             f"{'known ' if finding.get('known') else ''}{finding['level']} {rule_name(finding['rule'])}: "
             f"{_detail(finding)}"
             for finding in case.remarks
@@ -77,7 +89,7 @@ def render_junit(report: Report) -> str:
     for classname, cases in _suites(report).items():
         suite = ElementTree.SubElement(root, "testsuite", name=classname, tests=str(len(cases)))
         suite.set("failures", str(sum(bool(case.failures) for case in cases)))
-        suite.set("errors", "0")
+        suite.set("errors", str(sum(bool(case.error) for case in cases)))
         suite.set("skipped", "0")
         suite.set("time", f"{time:.3f}" if classname == "vhp.tissue" else "0")
         suite.extend(_case_element(classname, case) for case in cases)

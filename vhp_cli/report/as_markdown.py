@@ -6,7 +6,18 @@ import re
 
 from vhp_cli.measures import Finding, Report
 from vhp_cli.report import text
-from vhp_cli.report.verdict import Verdict, all_findings, by_rule, closing_line, rule_name, tissue_verdicts
+from vhp_cli.report.verdict import (
+    Verdict,
+    all_findings,
+    by_rule,
+    closing_line,
+    deviation,
+    is_staged,
+    left_alone,
+    rule_name,
+    stage_words,
+    tissue_verdicts,
+)
 from vhp_cli.rules import RULES
 
 _FINDINGS_PER_RULE = 20
@@ -27,9 +38,11 @@ def table_row(cells: list[str]) -> str:
 
 
 def _tissue_table(report: Report, verdicts: list[Verdict]) -> list[str]:
+    staged = is_staged(report)
+    more = (" Status | Deviation (mm) |", " :--- | ---: |") if staged else ("", "")
     lines = [
-        "| No | Tissue | Triangles | Mesh quality | Min. edge (mm) | Tissue type | Verdict |",
-        "| ---: | :--- | ---: | ---: | ---: | :--- | :--- |",
+        f"| No | Tissue | Triangles | Mesh quality | Min. edge (mm) |{more[0]} Tissue type | Verdict |",
+        f"| ---: | :--- | ---: | ---: | ---: |{more[1]} :--- | :--- |",
     ]
     for no, (tissue, verdict) in enumerate(zip(report["tissues"], verdicts, strict=True), start=1):
         quality, edge = tissue["quality"], tissue["edge_mm"]
@@ -39,6 +52,7 @@ def _tissue_table(report: Report, verdicts: list[Verdict]) -> list[str]:
             f"{tissue['triangles']:,}",
             text.number(quality["min"] if quality else None),
             text.number(edge["min"] if edge else None),
+            *((tissue.get("status", ""), deviation(tissue)) if staged else ()),
             escape(tissue["tissue_type"]),
             verdict.words if verdict.passed else f"**{verdict.words}**",
         ]
@@ -73,6 +87,9 @@ def render_markdown(report: Report) -> str:
     lines = [f"## vhp {escape(report['command'])}: {verdict}", "", escape(closing_line(report)), ""]
     if report["tissues"]:
         lines += [*_tissue_table(report, tissue_verdicts(report)), ""]
+    if tissues := left_alone(report):
+        lines += [f"- {escape(tissue['name'])}: {escape(stage_words(tissue))}" for tissue in tissues]
+        lines.append("")
     for code, findings in by_rule(all_findings(report)):
         lines += _rule_section(code, findings)
     return "\n".join(lines).rstrip("\n") + "\n"

@@ -10,7 +10,7 @@ from urllib.parse import quote
 from vhp_cli.measures import Finding, Report
 from vhp_cli.report import text
 from vhp_cli.report.as_json import dumps
-from vhp_cli.report.verdict import all_findings
+from vhp_cli.report.verdict import all_findings, is_staged, left_alone, stage_words
 from vhp_cli.rules import RULES
 
 _SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
@@ -86,6 +86,22 @@ def _fingerprint(finding: Finding) -> str:
     return hashlib.sha256(identity.encode("utf-8", "surrogatepass")).hexdigest()[:32]
 
 
+def _invocation(report: Report, files: dict[str, str]) -> dict[str, object]:
+    """Return what became of the tissues that a stage left alone, as remarks on the run itself."""
+    notifications = [
+        {
+            "level": "error" if tissue.get("status") == "failed" else "warning",
+            "message": {"text": _message(f"{text.visible(tissue['name'])}: {stage_words(tissue)}")},
+            "locations": [_location(tissue["name"], files.get(tissue["name"], ""))],
+        }
+        for tissue in left_alone(report)
+    ]
+    return {
+        "executionSuccessful": not any(tissue.get("status") == "failed" for tissue in report["tissues"]),
+        "toolExecutionNotifications": notifications,
+    }
+
+
 def render_sarif(report: Report, *, base: str = "") -> str:
     """Return a SARIF log with one run; results stand in the order of the report's findings.
 
@@ -113,10 +129,17 @@ def render_sarif(report: Report, *, base: str = "") -> str:
     version = report["tool"].get("version")
     if isinstance(version, str):
         driver["version"] = version
+    properties: dict[str, object] = {"command": report["command"], "summary": report["summary"]}
     run = {
         "tool": {"driver": driver},
         "columnKind": "unicodeCodePoints",
         "results": results,
-        "properties": {"command": report["command"], "summary": report["summary"]},
+        "properties": properties,
     }
+    if is_staged(report):
+        properties["stage"] = [
+            {"tissue": tissue["name"], **{key: tissue.get(key) for key in ("status", "reason", "deviation_mm")}}
+            for tissue in report["tissues"]
+        ]
+        run["invocations"] = [_invocation(report, files)]
     return dumps({"$schema": _SCHEMA, "version": "2.1.0", "runs": [run]})

@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING
 
 from vhp_cli.measures import Finding, Level, PairRecord, Report
 from vhp_cli.report import text
-from vhp_cli.report.verdict import Verdict, all_findings, by_rule, closing_line, rule_name, tissue_verdicts
+from vhp_cli.report.verdict import (
+    Verdict,
+    all_findings,
+    by_rule,
+    closing_line,
+    deviation,
+    is_staged,
+    left_alone,
+    rule_name,
+    stage_words,
+    tissue_verdicts,
+)
 from vhp_cli.rules import RULES
 
 if TYPE_CHECKING:
@@ -19,6 +30,7 @@ _LONG_MODEL = 40  # above so many tissues, only those with findings are listed
 _LINES_PER_RULE = 5
 _STYLE: dict[Level, str] = {"error": "bold red", "warning": "yellow", "note": "cyan"}
 _CROSSES = ("crossing", "identical")
+_STATUS_STYLE = {"changed": "green", "unchanged": "dim", "refused": "yellow", "failed": "bold red"}
 
 
 def print_table(report: Report, console: Console, *, verbose: bool = False, nesting: bool = False) -> None:
@@ -38,6 +50,7 @@ def print_table(report: Report, console: Console, *, verbose: bool = False, nest
     verdicts = tissue_verdicts(report)
     if report["tissues"]:
         _print_tissues(report, verdicts, console, verbose=verbose)
+        _print_stage(report, console, verbose=verbose)
     for code, findings in by_rule(all_findings(report)):
         _print_rule(code, findings, console, verbose=verbose)
     if report["pairs"]:
@@ -59,49 +72,70 @@ def _print_words(console: Console, words: str, style: str = "", *, indent: int =
         console.print(Text(" " * indent).append_text(line), soft_wrap=True)
 
 
-def _columns(console: Console) -> Table:
+def _columns(console: Console, *, staged: bool) -> Table:
     from rich import box
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), show_edge=False)
-    narrow = console.width < 100
+    narrow = console.width < (126 if staged else 100)
+    tight = narrow and staged  # no room for the type
     table.add_column("No", justify="right", no_wrap=True)
-    table.add_column("Tissue", overflow="fold", min_width=12)
+    table.add_column("Tissue", overflow="fold", min_width=10 if tight else 12)
     table.add_column("Triangles", justify="right", no_wrap=True)
     table.add_column("Mesh\nquality" if narrow else "Mesh quality", justify="right", no_wrap=True)
     table.add_column("Min. edge\n(mm)" if narrow else "Min. edge length (mm)", justify="right", no_wrap=True)
-    table.add_column("Tissue\ntype" if narrow else "Tissue type", overflow="fold")
-    table.add_column("Verdict", overflow="fold", min_width=10)
+    if staged:
+        table.add_column("Status", no_wrap=True)
+        table.add_column("Off\n(mm)" if narrow else "Deviation (mm)", justify="right", no_wrap=True)
+    if not tight:
+        table.add_column("Tissue\ntype" if narrow else "Tissue type", overflow="fold")
+    table.add_column("Verdict", overflow="fold", min_width=12 if tight else 10)
     return table
 
 
 def _print_tissues(report: Report, verdicts: list[Verdict], console: Console, *, verbose: bool) -> None:
     from rich.text import Text
 
-    table = _columns(console)
+    staged = is_staged(report)
+    table = _columns(console, staged=staged)
     short = not verbose and len(verdicts) > _LONG_MODEL
     hidden = 0
     for no, (tissue, verdict) in enumerate(zip(report["tissues"], verdicts, strict=True), start=1):
-        if short and verdict.passed and not verdict.warnings:
+        status = tissue.get("status", "")
+        if short and verdict.passed and not verdict.warnings and status not in ("refused", "failed"):
             hidden += 1
             continue
         quality, edge = tissue["quality"], tissue["edge_mm"]
         style = "red" if not verdict.passed else "yellow" if verdict.warnings else "green"
-        table.add_row(
+        cells: list[str | Text] = [
             str(no),
             Text(text.visible(tissue["name"])),
             f"{tissue['triangles']:,}",
             text.number(quality["min"] if quality else None),
             text.number(edge["min"] if edge else None),
-            Text(text.visible(tissue["tissue_type"])),
-            Text(verdict.words, style=style),
-        )
+        ]
+        if staged:
+            cells += [Text(status, style=_STATUS_STYLE.get(status, "")), deviation(tissue)]
+        if len(cells) + 2 == len(table.columns):
+            cells.append(Text(text.visible(tissue["tissue_type"])))
+        table.add_row(*cells, Text(verdict.words, style=style))
     if table.row_count:
         console.print(table)
     if hidden:
         others = "other " if table.row_count else ""
         _print_words(console, f"{text.plural(hidden, f'{others}tissue')} passed (all are listed with --verbose)", "dim")
     console.print()
+
+
+def _print_stage(report: Report, console: Console, *, verbose: bool) -> None:
+    """Print why tissues were left alone; with `verbose` also what was done to the others."""
+    tissues = left_alone(report)
+    if verbose:
+        tissues += [tissue for tissue in report["tissues"] if tissue.get("status") == "changed"]
+    for tissue in tissues:
+        _print_words(console, f"{text.visible(tissue['name'])}: {stage_words(tissue)}")
+    if tissues:
+        console.print()
 
 
 def _print_rule(code: str, findings: list[Finding], console: Console, *, verbose: bool) -> None:

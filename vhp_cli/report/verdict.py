@@ -6,8 +6,8 @@ from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from vhp_cli.measures import Finding, Level, Report
-from vhp_cli.report.text import plural
+from vhp_cli.measures import Finding, Level, Report, TissueRecord
+from vhp_cli.report.text import number, plural, visible
 from vhp_cli.rules import RULES
 
 LEVELS: tuple[Level, ...] = ("error", "warning", "note")  # worst first
@@ -98,6 +98,34 @@ def _severity(finding: Finding) -> tuple[bool, int]:
     return bool(finding.get("known")), LEVELS.index(finding["level"])
 
 
+def is_staged(report: Report) -> bool:
+    """Tell if the report is that of a stage such as heal, so that its tissues have a status."""
+    return any("status" in tissue for tissue in report["tissues"])
+
+
+def deviation(tissue: TissueRecord) -> str:
+    """Return the greatest distance in mm between input and output of a stage; ``-`` where there is none."""
+    found = tissue.get("deviation_mm")
+    return number(found["max"] if found else None)
+
+
+def stage_words(tissue: TissueRecord) -> str:
+    """Return what a stage made of a tissue in one line: ``refused: ...``, ``changed, at most 0.02 mm off: ...``."""
+    words = tissue.get("status", "")
+    if words == "changed":
+        words += f", at most {deviation(tissue)} mm off"
+    said = [tissue.get("reason", ""), *(action["message"] for action in tissue.get("actions", []))]
+    if detail := "; ".join(filter(None, said)):
+        words += f": {visible(detail)}"
+    return words
+
+
+def left_alone(report: Report) -> list[TissueRecord]:
+    """Return the tissues that a stage failed on or refused, failed ones first."""
+    found = [tissue for tissue in report["tissues"] if tissue.get("status") in ("failed", "refused")]
+    return sorted(found, key=lambda tissue: tissue.get("status", ""))
+
+
 def rule_name(code: str) -> str:
     """Return ``T001 open-edge``; the bare code if the rule is not in the table."""
     return f"{code} {RULES[code].name}" if code in RULES else code
@@ -124,5 +152,7 @@ def closing_line(report: Report) -> str:
     )
     if known:
         words += f", {known:,} of them known"
+    if status := summary.get("status"):
+        words += f"; {', '.join(f'{count:,} {name}' for name, count in status.items() if count) or 'nothing done'}"
     time = seconds(report)
     return words if time is None else f"{words}; {time:.2f} s"

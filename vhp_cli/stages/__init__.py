@@ -1,0 +1,1 @@
+"""Stages: one surface in, a better one out; nothing here touches the disk."""

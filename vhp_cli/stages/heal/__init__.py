@@ -1,0 +1,3 @@
+"""Heal tissue surfaces."""
+
+from vhp_cli.stages.heal.cascade import heal as heal

@@ -1,0 +1,237 @@
+"""Well shaped triangles: guarded remeshing to a sizing field, and a wider envelope for what remains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vhp_cli.inspection.deviation import deviation
+from vhp_cli.kernels.measuring import closest
+from vhp_cli.kernels.remeshing import Remesher
+from vhp_cli.kernels.spatial import Tree
+from vhp_cli.measures import Action
+from vhp_cli.mesh import Mesh
+from vhp_cli.stages.heal.candidate import Candidate, diagonal, face_quality, judge
+from vhp_cli.stages.heal.options import HealOptions
+from vhp_cli.stages.heal.sizing import Limits, propose_limits, sizing, walls
+
+# The quality phase works on triangles below this q, so that what it leaves lies well above the target.
+_WORK_BELOW = 0.45
+MEAN_QUALITY = 0.85
+# Faces with a q below this have next to no area; they may be removed if that moves the surface by less than this share
+# of the diagonal.
+_FLAT = 1e-5
+_FLAT_WAY = 1e-4
+# Shares of the allowed deviation: of the first pass, and of the rescues that follow if it does not suffice.
+_FIRST_SHARE = 0.5
+_RESCUE_SHARES = (0.65, 0.8)
+# A second attempt has edges shorter by this factor: what is curved or thin then has room for good triangles.
+_FINER = 0.7
+# A mesh may grow by this factor over its input, and to this number in any case.
+_GROWTH = 2.5
+_FEW_TRIANGLES = 2_000
+
+
+def is_good(candidate: Candidate, options: HealOptions) -> bool:
+    """Tell whether the triangles of a mesh need nothing."""
+    wishes = options.edge_length_mm is not None or (
+        options.max_triangles is not None and candidate.measures["triangles"] > options.max_triangles
+    )
+    return not wishes and _rank(candidate, options)[:3] == (True, True, True)
+
+
+def deviation_limit(mesh: Mesh, options: HealOptions) -> float:
+    """Return how far the healed surface may lie from its input in mm: 0.1 % of the diagonal, at most 0.1 mm."""
+    return options.max_deviation_mm or min(1e-3 * diagonal(mesh), 0.1)
+
+
+def improve(solid: Candidate, given: Mesh, options: HealOptions) -> tuple[Candidate, list[Action]]:
+    """Bring the triangles of a sound solid into shape.
+
+    Local operations on bad triangles come first; the surface is remeshed as a whole only if they do not suffice, or
+    an edge length or number of triangles is asked for.
+
+    Parameters
+    ----------
+    solid
+        A sound candidate.
+    given
+        The tissue as it was read: its size sets the limits.
+    options
+        Limits and wishes.
+
+    Returns
+    -------
+    candidate, actions
+        The best of all attempts, sound as well; `solid` itself and no action if none is better.
+    """
+    if is_good(solid, options):
+        return solid, []
+    attempts = _Attempts(solid, given, options)
+    if options.edge_length_mm is None and options.max_triangles is None:
+        attempts.touch_up()
+    for factor in (1.0, _FINER):
+        if attempts.done:
+            break
+        attempts.remesh(factor)
+    return attempts.best, attempts.actions()
+
+
+def remove_flat(mesh: Mesh) -> tuple[Mesh, list[Action]]:
+    """Remove faces without area, and nearly so, by collapsing or flipping an edge.
+
+    Parameters
+    ----------
+    mesh
+        Manifold, with float32 values as coordinates; it may cross itself.
+    """
+    size = diagonal(mesh)
+    flat = int((face_quality(mesh) < _FLAT).sum())
+    if not flat or not size:
+        return mesh, []
+    remesher = Remesher(
+        mesh.vertices,
+        mesh.faces,
+        sizes=_FLAT_WAY * size,
+        deviation=_FLAT_WAY * size,
+        target_quality=_FLAT,
+        floor=0.0,
+        min_edge=0.0,
+    )
+    remesher.improve()
+    made = Mesh(*remesher.result())
+    left = int((face_quality(made) < _FLAT).sum())
+    if left >= flat:
+        return mesh, []
+    message = f"{flat - left} faces with next to no area removed"
+    return made, [{"step": "flat", "message": message, "count": flat - left, "places": []}]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Field:
+    """The sizing field of one attempt."""
+
+    limits: Limits
+    vertex: np.ndarray
+    estimate: int
+
+
+class _Attempts:
+    """Attempts to improve one solid; the best is kept."""
+
+    def __init__(self, solid: Candidate, given: Mesh, options: HealOptions) -> None:
+        self.solid = solid
+        self.options = options
+        self.allowed = deviation_limit(given, options)
+        self.given_triangles = len(given.faces)
+        self.best = solid
+        self.steps: list[str] = []
+        self._walls = walls(solid.mesh)
+
+    @property
+    def done(self) -> bool:
+        """Whether the best attempt needs nothing more."""
+        return self.best is not self.solid and _rank(self.best, self.options)[:3] == (True, True, True)
+
+    def touch_up(self) -> None:
+        """Repair bad triangles where they are; the rest of the mesh stays as it is."""
+        field = self._field(1.0)
+        remesher = self._remesher(self.solid.mesh, field, _FIRST_SHARE)
+        self._run(remesher, 0, bulk=False, step="bad triangles reshaped")
+        self._rescue(field)
+
+    def remesh(self, factor: float) -> None:
+        """Remesh to the sizing field, its lengths multiplied by a factor."""
+        field = self._field(factor)
+        remesher = self._remesher(self.solid.mesh, field, _FIRST_SHARE)
+        before = self.best
+        self._run(remesher, 5, bulk=True, step=f"remeshed to edges of {field.limits.longest_mm:.2g} mm")
+        if self.best is not before:
+            self._rescue(field)
+
+    def actions(self) -> list[Action]:
+        """Say what was done, in one action."""
+        if self.best is self.solid:
+            return []
+        first, last = self.solid, self.best
+        message = (
+            f"{self.steps[-1]}: {first.measures['triangles']} -> {last.measures['triangles']} triangles, "
+            f"min q {first.min_quality:.2g} -> {last.min_quality:.2g}, "
+            f"mean q {first.mean_quality:.2f} -> {last.mean_quality:.2f}, "
+            f"min edge {first.min_edge:.2g} -> {last.min_edge:.2g} mm"
+        )
+        return [{"step": "remesh", "message": message, "count": last.measures["triangles"], "places": []}]
+
+    def _rescue(self, field: _Field) -> None:
+        for share in _RESCUE_SHARES:
+            if self.done or self.best is self.solid:
+                return
+            remesher = self._remesher(self.best.mesh, field, share)
+            self._run(remesher, 0, bulk=False, step=self.steps[-1])
+
+    def _run(self, remesher: Remesher, iterations: int, *, bulk: bool, step: str) -> None:
+        remesher.run(iterations, bulk=bulk)
+        remesher.restore_volume()
+        found = judge(Mesh(*remesher.result()))
+        if found.sound and _rank(found, self.options) > _rank(self.best, self.options) and self._keeps_shape(found):
+            self.best = found
+            self.steps.append(step)
+
+    def _keeps_shape(self, found: Candidate) -> bool:
+        """Measure what the guards promise: they look at a few points of each triangle only."""
+        measured = deviation(self.solid.mesh, found.mesh, lost_limit_mm=self.allowed)
+        return measured["max"] <= self.allowed
+
+    def _field(self, factor: float) -> _Field:
+        mesh, options = self.solid.mesh, self.options
+        limits = propose_limits(
+            mesh,
+            deviation_mm=_FIRST_SHARE * self.allowed,
+            longest_mm=options.edge_length_mm,
+            input_triangles=self.given_triangles,
+            wall_thickness=self._walls,
+        )
+        budget = max(_GROWTH * min(len(mesh.faces), 2 * self.given_triangles), _FEW_TRIANGLES)
+        if options.max_triangles is not None:
+            budget = min(budget, 0.8 * options.max_triangles)
+        sizes = sizing(
+            mesh,
+            deviation_mm=limits.deviation_mm,
+            longest_mm=factor * limits.longest_mm,
+            shortest_mm=factor * limits.shortest_mm,
+            budget_triangles=int(budget / factor**2),
+            wall_thickness=self._walls,
+        )
+        return _Field(limits, sizes.vertex, sizes.estimate)
+
+    def _remesher(self, mesh: Mesh, field: _Field, share: float) -> Remesher:
+        reference = self.solid.mesh
+        sizes = field.vertex
+        if mesh is not reference:
+            nearest = closest(Tree(reference.vertices, reference.faces), mesh.vertices).faces
+            sizes = field.vertex[reference.faces[nearest]].mean(axis=1)
+        deviation = min(share * self.allowed, field.limits.deviation_mm * share / _FIRST_SHARE)
+        return Remesher(
+            mesh.vertices,
+            mesh.faces,
+            sizes=sizes,
+            reference=(reference.vertices, reference.faces),
+            reference_sizes=field.vertex,
+            deviation=deviation,
+            target_quality=max(_WORK_BELOW, self.options.target_quality),
+            floor=max(0.35, self.options.target_quality),
+            min_edge=max(self.options.min_edge_mm, 0.25 * field.limits.shortest_mm),
+            max_triangles=self.options.max_triangles or 1_000_000,
+        )
+
+
+def _rank(candidate: Candidate, options: HealOptions) -> tuple[bool, bool, bool, float, float]:
+    """Order candidates: what is asked for first, then how far they go beyond."""
+    return (
+        candidate.min_quality >= options.target_quality,
+        candidate.min_edge >= options.min_edge_mm,
+        candidate.mean_quality >= MEAN_QUALITY,
+        min(candidate.min_quality, _WORK_BELOW),
+        candidate.mean_quality,
+    )

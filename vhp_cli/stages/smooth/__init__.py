@@ -1,0 +1,1 @@
+"""Better shaped triangles at the same topology: smoothing of tissue surfaces."""
