@@ -13,9 +13,10 @@
  * the other side: the edge of f that is opposite to c. It is -1 where the edge does not have exactly
  * two faces that run along it in opposite directions; such edges are never touched.
  *
- * Parts: guarded_mesh.c (faces and their neighbours), guarded_boxes.c (search tree over the faces),
- * guarded_contact.c, guarded_envelope.c (guards), guarded_operations.c, guarded_passes.c,
- * guarded_volume.c.
+ * Parts: guarded_mesh.c (faces and their neighbours), guarded_boxes.c (search tree over the faces), guarded_reference.c
+ * (the surface to stay at); the guards guarded_contact.c, guarded_envelope.c and guarded_samples.c, put together in
+ * guarded_patch.c; the operations guarded_relocate.c, guarded_collapse.c, guarded_flip.c and guarded_split.c;
+ * guarded_passes.c, guarded_quality.c and guarded_volume.c (work on the whole mesh).
  */
 #ifndef VHP_GUARDED_H
 #define VHP_GUARDED_H
@@ -34,6 +35,15 @@ enum { FROZEN = 1, BOUNDARY = 2, PINCHED = 4 };
 /* Most faces about a vertex that moves, and in one operation. */
 #define MAX_RING 250
 #define MAX_PATCH (2 * MAX_RING)
+
+/* A face of the reference whose normal is this far from another one looks the other way: the far side of a thin wall. */
+#define LEAST_COSINE (-0.3)
+
+/* No operation leaves a triangle worse than this: it would be degenerate for all purposes. */
+#define LEAST_QUALITY 1e-9
+
+/* What counts as a better q. */
+#define GAIN 1e-6
 
 /* What `counts` holds: operations done, and operations refused by each guard. Mirrored in remeshing.py. */
 enum {
@@ -171,6 +181,18 @@ static inline double distance(const double *a, const double *b)
     return sqrt(squared_distance(a, b));
 }
 
+/* Squared distance of a point from a box. */
+static inline double box_distance(const float *box, const double *p)
+{
+    double sum = 0;
+    for (int d = 0; d < 3; d++) {
+        const double under = (double)box[d] - p[d], over = p[d] - (double)box[3 + d];
+        const double off = under > over ? under : over;
+        sum += off > 0 ? off * off : 0;
+    }
+    return sum;
+}
+
 /* By way of memory: GCC 12 takes a conversion to float and back for nothing where it vectorizes the two. */
 static inline void round_to_float(double *point)
 {
@@ -199,9 +221,9 @@ static inline double shape_of(const double *a, const double *b, const double *c,
 
 /* guarded_mesh.c */
 int vhp_guarded_reserve(Guarded *g, int64_t vertices, int64_t faces);
-/* Faces about a vertex, counter-clockwise; their number, or -1 if there are more than MAX_RING. */
+/* Corners at a vertex, counter-clockwise; their number, or -1 if there are more than MAX_RING. */
 int32_t vhp_ring(const Guarded *g, int32_t vertex, int32_t *corners);
-/* 1 if an edge joins the two vertices, or if it can not be told since both are pinched. */
+/* 1 if an edge joins the two vertices, or if it can't be told since both are pinched. */
 int vhp_joined(const Guarded *g, int32_t a, int32_t b);
 /* Write a face and join it to its neighbours: across[k] is what its corner k looks at. */
 void vhp_set_face(Guarded *g, int32_t face, const int32_t vertices[3], const int32_t across[3]);
@@ -213,26 +235,35 @@ void vhp_forget_tries(Guarded *g);
 /* guarded_boxes.c */
 int vhp_boxes_build(Guarded *g);
 void vhp_boxes_refit(Guarded *g, int32_t face);
-int vhp_boxes_insert(Guarded *g, int32_t face, int32_t beside);
+void vhp_boxes_insert(Guarded *g, int32_t face, int32_t beside);
 void vhp_boxes_remove(Guarded *g, int32_t face);
 void vhp_face_box(const Guarded *g, const int32_t *vertices, float *box);
+/* Put a node on the stack of a walk that holds `count`; 0 if memory runs out. */
+int vhp_push(Guarded *g, int64_t *count, int32_t node);
+
+/* guarded_reference.c */
+double vhp_nearest_on_triangle(const double *p, const double *a, const double *b, const double *c, double *nearest);
+/* Prepare searches about the faces at some vertices; without it they only take longer. */
+void vhp_look_around(Guarded *g, const int32_t *vertices, int count);
+/* Face of the reference nearest to a point, within `reach` and with a normal along `normal` (NULL: any);
+ * -1 if there is none. `hint`: a face to try first, or -1. */
+int32_t vhp_nearest_reference(Guarded *g, const double *point, double reach, const double *normal, double least_cosine,
+                              int32_t hint, double *nearest);
+/* 1 if a point is within the deviation of the reference, first asking the faces `hints`; with a normal (NULL: any)
+ * only faces that do not look the other way count. */
+int vhp_within_reference(Guarded *g, const double *point, const double *normal, const int32_t hints[3]);
+/* Wanted edge length at a point on a face of the reference. */
+double vhp_reference_size(const Guarded *g, int32_t face, const double *point);
 
 /* guarded_contact.c */
 /* 1 if a new face of the patch meets any other face, or is folded onto a neighbour. */
 int vhp_patch_meets(Guarded *g, const Patch *patch);
 
 /* guarded_envelope.c */
-double vhp_nearest_on_triangle(const double *p, const double *a, const double *b, const double *c, double *nearest);
-/* Face of the reference nearest to a point, within `reach` and with a normal along `normal` (NULL: any);
- * -1 if there is none. `hint`: a face to try first, or -1. */
-int32_t vhp_nearest_reference(Guarded *g, const double *point, double reach, const double *normal, double least_cosine,
-                              int32_t hint, double *nearest);
-/* Wanted edge length at a point on a face of the reference. */
-double vhp_reference_size(const Guarded *g, int32_t face, const double *point);
-/* Prepare searches about the faces at some vertices; without it they only take longer. */
-void vhp_look_around(Guarded *g, const int32_t *vertices, int count);
 /* 1 if the new faces and edges of a patch stay within the envelope. */
 int vhp_patch_within(Guarded *g, const Patch *patch, int thorough);
+
+/* guarded_samples.c */
 /* Find for each sample of the old faces the new face that covers it; 0 if one is left without, unless `force`. */
 int vhp_patch_covers(Guarded *g, const Patch *patch, int force);
 /* Give the samples to the faces found; `numbers` are those of the new faces. */
@@ -240,14 +271,37 @@ void vhp_move_samples(Guarded *g, const Patch *patch, const int32_t *numbers);
 /* Give each sample to the face nearest to it. */
 int vhp_assign_samples(Guarded *g);
 
-/* guarded_volume.c */
-/* Volume (NaN if open) and area of each component; either may be NULL. */
-void vhp_component_volumes(const Guarded *g, double *volume, double *area);
+/* guarded_patch.c: what the operations share */
+/* A vertex put to a place for trial, and where it was. */
+typedef struct {
+    int32_t vertex, near;
+    double xyz[3];
+} Trial;
 
-/* guarded_operations.c: 1 if done */
+void vhp_patch_begin(Patch *patch);
+void vhp_patch_take(Patch *patch, int32_t face);
+void vhp_patch_add(Patch *patch, int32_t a, int32_t b, int32_t c, int32_t replaces);
+void vhp_patch_edge(Patch *patch, int32_t a, int32_t b);
+/* Worst and mean q of the old faces; the same of the new ones, which are measured. */
+double vhp_old_quality(const Guarded *g, const Patch *patch, double *mean);
+double vhp_new_quality(const Guarded *g, Patch *patch, double *mean);
+/* Round a position and put a vertex there; `near`: a face of the reference near it, or -1. */
+Trial vhp_try_place(Guarded *g, int32_t vertex, const double *position, int32_t near);
+/* Put the vertex back, count the refusal, and return 0. */
+int vhp_take_back(Guarded *g, const Trial *trial, int guard);
+/* 1 if no face turns over, and each has an area for certain. */
+int vhp_keeps_sides(const Guarded *g, const Patch *patch);
+/* The guard that refuses a patch that has been measured, or -1. `moved`: the vertex that has moved, or -1. */
+int vhp_refusing_guard(Guarded *g, const Patch *patch, int32_t moved, int thorough);
+/* Note that a patch is done: shape and samples of the new faces `numbers`, time of change of their vertices, and the
+ * boxes of the first `n_boxes` of them. */
+void vhp_settle(Guarded *g, const Patch *patch, const int32_t *numbers, int32_t n_boxes);
+
+/* The operations: 1 if done. */
 enum { GOAL_WORST, GOAL_MEAN, GOAL_KEEP }; /* raise the worst q; the mean q; only keep the worst from falling far */
 int vhp_relocate(Guarded *g, int32_t vertex, const double *position, int32_t near, int goal);
-/* Merge `gone` into `kept` at a position. least_quality < 0: only if the worst q rises. */
+/* Merge the edge opposite to a corner into its end `kept`, which goes to a position. least_quality < 0: only if the
+ * worst q rises. */
 int vhp_collapse(Guarded *g, int32_t corner, int32_t kept, const double *position, int32_t near, double least_quality,
                  double longest);
 enum { FLIP_QUALITY, FLIP_BALANCE };
@@ -255,5 +309,25 @@ int vhp_flip(Guarded *g, int32_t corner, int goal);
 int vhp_flip_onto(Guarded *g, int32_t corner, const double *position, int32_t near);
 /* The new vertex, or -1. */
 int32_t vhp_split(Guarded *g, int32_t corner);
+
+/* guarded_passes.c */
+/* Where a vertex would lie well: the centroid of its faces (weighted by their area in units of the wanted length, or
+ * all alike), moved into the plane of its normal. 0 if it has no normal. */
+int vhp_centre_of_ring(const Guarded *g, int32_t vertex, int weighted, double *target, double *normal);
+/* Nearest point of the reference to a place wanted for a vertex; the face, or -1. */
+int32_t vhp_project(Guarded *g, int32_t vertex, const double *wanted, const double *normal, double *projected);
+/* Move a vertex to the projection of `wanted`, and take the wanted length from there. */
+int vhp_move_to(Guarded *g, int32_t vertex, const double *wanted, const double *normal, int goal);
+/* Collapse the edge opposite to a corner to its middle on the reference, or to one of its ends. */
+int vhp_try_collapse(Guarded *g, int32_t corner, double least_quality, double longest);
+/* 1 if nothing has changed around the vertices of a face since `time`. */
+int vhp_face_unchanged(const Guarded *g, int32_t face, int32_t time);
+
+/* guarded_quality.c */
+int64_t vhp_guarded_improve(Guarded *g, double quality, int64_t rounds, int moving);
+
+/* guarded_volume.c */
+/* Volume (NaN if open) and area of each component; either may be NULL. */
+void vhp_component_volumes(const Guarded *g, double *volume, double *area);
 
 #endif

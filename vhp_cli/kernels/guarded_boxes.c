@@ -157,7 +157,7 @@ static int32_t new_node(Guarded *g)
 }
 
 /* Add a face as the sibling of another; a tree over n faces has 2 n - 1 nodes, so there is room. */
-int vhp_boxes_insert(Guarded *g, int32_t face, int32_t beside)
+void vhp_boxes_insert(Guarded *g, int32_t face, int32_t beside)
 {
     const int32_t sibling = g->leaf[beside], parent = g->nodes[sibling].parent;
     const int32_t leaf = new_node(g), inner = new_node(g);
@@ -174,7 +174,6 @@ int vhp_boxes_insert(Guarded *g, int32_t face, int32_t beside)
         g->nodes[parent].child[g->nodes[parent].child[1] == sibling] = inner;
     refit_above(g, parent);
     g->changes++;
-    return 1;
 }
 
 static void free_node(Guarded *g, int32_t node)
@@ -202,4 +201,20 @@ void vhp_boxes_remove(Guarded *g, int32_t face)
     free_node(g, leaf);
     free_node(g, parent);
     refit_above(g, above);
+}
+
+int vhp_push(Guarded *g, int64_t *count, int32_t node)
+{
+    if (*count == g->stack_room) {
+        const int64_t room = 2 * g->stack_room + 64;
+        int32_t *stack = realloc(g->stack, (size_t)room * sizeof *stack);
+        if (!stack) {
+            g->failed = 1;
+            return 0;
+        }
+        g->stack = stack;
+        g->stack_room = room;
+    }
+    g->stack[(*count)++] = node;
+    return 1;
 }

@@ -1,6 +1,4 @@
 /* Whether the new faces of a patch meet any other face of the mesh: exact, as `vhp check` tests it. */
-#include <stdlib.h>
-
 #include "guarded.h"
 
 /* A triangle of at least this quality has a reliable normal, and a point farther than this part of its distance from
@@ -127,22 +125,6 @@ static int meets_face(Search *search, const BoxNode *leaf)
     return 0;
 }
 
-static int push(Guarded *g, int64_t *count, int32_t node)
-{
-    if (*count == g->stack_room) {
-        const int64_t room = 2 * g->stack_room + 64;
-        int32_t *stack = realloc(g->stack, (size_t)room * sizeof *stack);
-        if (!stack) {
-            g->failed = 1;
-            return 0;
-        }
-        g->stack = stack;
-        g->stack_room = room;
-    }
-    g->stack[(*count)++] = node;
-    return 1;
-}
-
 int vhp_patch_meets(Guarded *g, const Patch *patch)
 {
     Search search;
@@ -164,7 +146,7 @@ int vhp_patch_meets(Guarded *g, const Patch *patch)
     }
     if (new_faces_meet(&search))
         return 1;
-    if (g->root >= 0 && !push(g, &count, g->root))
+    if (g->root >= 0 && !vhp_push(g, &count, g->root))
         return 1;
     while (count) {
         const BoxNode *node = &g->nodes[g->stack[--count]];
@@ -174,7 +156,7 @@ int vhp_patch_meets(Guarded *g, const Patch *patch)
         if (node->child[0] < 0) {
             if (meets_face(&search, node))
                 return 1;
-        } else if (!push(g, &count, node->child[0]) || !push(g, &count, node->child[1])) {
+        } else if (!vhp_push(g, &count, node->child[0]) || !vhp_push(g, &count, node->child[1])) {
             return 1;
         }
     }

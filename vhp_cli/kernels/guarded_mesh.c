@@ -237,7 +237,10 @@ static int find_components(Guarded *g)
         int32_t root = v;
         while (parent[root] != root)
             root = parent[root];
-        g->component[v] = root == v ? (int32_t)g->n_components++ : g->component[root];
+        if (g->corner[v] < 0)
+            g->component[v] = -1; /* in no face */
+        else
+            g->component[v] = root == v ? (int32_t)g->n_components++ : g->component[root];
     }
     free(parent);
     return 1;

@@ -12,9 +12,6 @@
 #define PROJECTION_REACH 0.3
 #define PROJECTION_COSINE 0.2
 
-/* Normals that differ by more make an edge a crease: 15 degrees. */
-#define CREASE_COSINE 0.9659258262890683
-
 /* A smaller move, in wanted lengths, is not worth its guards. */
 #define LEAST_MOVE 0.01
 
@@ -82,7 +79,7 @@ static int is_current(const Guarded *g, const Candidate *edge)
 
 /* Where a vertex would lie well: the centroid of its faces (weighted by their area in units of the wanted length,
  * or all alike), moved into the plane of its normal. 0 if it has no normal. */
-static int centre_of_ring(const Guarded *g, int32_t vertex, int weighted, double *target, double *normal)
+int vhp_centre_of_ring(const Guarded *g, int32_t vertex, int weighted, double *target, double *normal)
 {
     int32_t ring[MAX_RING];
     double sum[3] = {0, 0, 0}, total = 0, offset[3];
@@ -117,20 +114,8 @@ static int centre_of_ring(const Guarded *g, int32_t vertex, int weighted, double
     return 1;
 }
 
-static double ring_quality(const Guarded *g, int32_t vertex)
-{
-    int32_t ring[MAX_RING];
-    double worst = INFINITY;
-    const int32_t count = vhp_ring(g, vertex, ring);
-    for (int32_t i = 0; i < count; i++) {
-        const double q = g->quality[ring[i] / 3];
-        worst = q < worst ? q : worst;
-    }
-    return worst;
-}
-
 /* Nearest point of the reference to a place wanted for a vertex; the face, or -1. */
-static int32_t project(Guarded *g, int32_t vertex, const double *wanted, const double *normal, double *projected)
+int32_t vhp_project(Guarded *g, int32_t vertex, const double *wanted, const double *normal, double *projected)
 {
     const double far = PROJECTION_REACH * g->size[vertex];
     return vhp_nearest_reference(g, wanted, far > g->settings.deviation ? far : g->settings.deviation, normal,
@@ -138,10 +123,10 @@ static int32_t project(Guarded *g, int32_t vertex, const double *wanted, const d
 }
 
 /* Move a vertex to the projection of `wanted`, and take the wanted length from there. */
-static int move_to(Guarded *g, int32_t vertex, const double *wanted, const double *normal, int goal)
+int vhp_move_to(Guarded *g, int32_t vertex, const double *wanted, const double *normal, int goal)
 {
     double projected[3];
-    const int32_t face = project(g, vertex, wanted, normal, projected);
+    const int32_t face = vhp_project(g, vertex, wanted, normal, projected);
     if (face < 0 || !vhp_relocate(g, vertex, projected, face, goal))
         return 0;
     g->size[vertex] = vhp_reference_size(g, face, projected);
@@ -167,8 +152,8 @@ VHP_EXPORT int64_t vhp_guarded_split(Guarded *g, double factor, int settling)
             continue;
         done++;
         double target[3], normal[3];
-        if (settling && centre_of_ring(g, middle, 0, target, normal))
-            move_to(g, middle, target, normal, GOAL_KEEP);
+        if (settling && vhp_centre_of_ring(g, middle, 0, target, normal))
+            vhp_move_to(g, middle, target, normal, GOAL_KEEP);
     }
     free(edges);
     return g->failed ? VHP_OUT_OF_MEMORY : done;
@@ -200,7 +185,7 @@ static int64_t split_by_levels(Guarded *g, double factor)
 }
 
 /* Collapse an edge to its middle on the reference, or to one of its ends. */
-static int try_collapse(Guarded *g, int32_t corner, double least_quality, double longest)
+int vhp_try_collapse(Guarded *g, int32_t corner, double least_quality, double longest)
 {
     const int32_t a = g->faces[next_corner(corner)], b = g->faces[previous_corner(corner)];
     const int a_frozen = g->marks[a] & FROZEN, b_frozen = g->marks[b] & FROZEN;
@@ -216,8 +201,8 @@ static int try_collapse(Guarded *g, int32_t corner, double least_quality, double
     const int32_t ends[2] = {a, b};
     vhp_look_around(g, ends, 2);
     const double size_a = g->size[a], size_b = g->size[b], smaller = size_a < size_b ? size_a : size_b;
-    if (centre_of_ring(g, a, 0, ignored, normal)) {
-        const int32_t face = project(g, a, middle, normal, projected);
+    if (vhp_centre_of_ring(g, a, 0, ignored, normal)) {
+        const int32_t face = vhp_project(g, a, middle, normal, projected);
         if (face >= 0 && vhp_collapse(g, corner, a, projected, face, least_quality, longest)) {
             g->size[a] = vhp_reference_size(g, face, projected);
             return 1;
@@ -233,7 +218,7 @@ static int try_collapse(Guarded *g, int32_t corner, double least_quality, double
 }
 
 /* Nothing has changed around the vertices of a face since `time`. */
-static int face_unchanged(const Guarded *g, int32_t face, int32_t time)
+int vhp_face_unchanged(const Guarded *g, int32_t face, int32_t time)
 {
     const int32_t *v = g->faces + 3 * (int64_t)face;
     return time >= 0 && g->touched[v[0]] <= time && g->touched[v[1]] <= time && g->touched[v[2]] <= time;
@@ -254,7 +239,7 @@ VHP_EXPORT int64_t vhp_guarded_collapse(Guarded *g, double factor, double least_
         const Candidate *edge = &edges[i];
         if (!is_current(g, edge) || !(edge_ratio(g, edge->a, edge->b) < factor))
             continue;
-        done += try_collapse(g, edge->corner, least_quality, longest);
+        done += vhp_try_collapse(g, edge->corner, least_quality, longest);
     }
     free(edges);
     return g->failed ? VHP_OUT_OF_MEMORY : done;
@@ -269,7 +254,7 @@ VHP_EXPORT int64_t vhp_guarded_flip(Guarded *g, int goal)
     if (!vhp_boxes_build(g))
         return VHP_OUT_OF_MEMORY;
     for (int32_t f = 0; f < g->n_faces && !out_of_work(g); f++) {
-        if (!is_live(g, f) || face_unchanged(g, f, tried[f]))
+        if (!is_live(g, f) || vhp_face_unchanged(g, f, tried[f]))
             continue;
         int flipped = 0;
         for (int k = 0; k < 3 && !flipped; k++) {
@@ -298,7 +283,7 @@ VHP_EXPORT int64_t vhp_guarded_relax(Guarded *g, double step)
             continue;
         const double own[3] = {place(g, v)[0], place(g, v)[1], place(g, v)[2]};
         int moved = 0;
-        const int worth = centre_of_ring(g, v, 1, target, normal) &&
+        const int worth = vhp_centre_of_ring(g, v, 1, target, normal) &&
                           distance(target, own) * step > LEAST_MOVE * g->size[v];
         if (worth)
             vhp_look_around(g, &v, 1);
@@ -306,183 +291,10 @@ VHP_EXPORT int64_t vhp_guarded_relax(Guarded *g, double step)
             for (int i = 0; i < 3 && !moved; i++) {
                 for (int d = 0; d < 3; d++)
                     wanted[d] = own[d] + parts[i] * step * (target[d] - own[d]);
-                moved = move_to(g, v, wanted, normal, GOAL_MEAN);
+                moved = vhp_move_to(g, v, wanted, normal, GOAL_MEAN);
             }
         done += moved;
         tried[v] = moved ? tried[v] : g->clock;
-    }
-    return g->failed ? VHP_OUT_OF_MEMORY : done;
-}
-
-/* Move a vertex along the creases that run into it. */
-static int slide_along_creases(Guarded *g, int32_t v, const double *normal)
-{
-    static const double parts[3] = {0.3, 0.1, 0.5};
-    int32_t ring[MAX_RING];
-    double wanted[3];
-    const double own[3] = {place(g, v)[0], place(g, v)[1], place(g, v)[2]};
-    const int32_t count = vhp_ring(g, v, ring);
-    for (int32_t i = 0; i < count; i++) { /* the edge to the next corner, between this face and the one before */
-        const int32_t face = ring[i] / 3, before = ring[i == 0 ? count - 1 : i - 1] / 3;
-        if (dot(g->normal + 3 * (int64_t)face, g->normal + 3 * (int64_t)before) > CREASE_COSINE)
-            continue;
-        const double *end = place(g, g->faces[next_corner(ring[i])]);
-        for (int k = 0; k < 3; k++) {
-            for (int d = 0; d < 3; d++)
-                wanted[d] = own[d] + parts[k] * (end[d] - own[d]);
-            if (move_to(g, v, wanted, normal, GOAL_WORST))
-                return 1;
-        }
-    }
-    return 0;
-}
-
-/* Look for a better place of a vertex: on the way to the centres of its ring, along creases, then around it. */
-static int search_place(Guarded *g, int32_t v)
-{
-    static const double parts[3] = {1, 0.5, 0.2}, half = 0.5, root = 0.8660254037844386;
-    const double cosines[12] = {1, root, half, 0, -half, -root, -1, -root, -half, 0, half, root};
-    const double own[3] = {place(g, v)[0], place(g, v)[1], place(g, v)[2]};
-    double target[3], normal[3], wanted[3], side[3], front[3];
-    vhp_look_around(g, &v, 1);
-    for (int weighted = 1; weighted >= 0; weighted--) {
-        if (!centre_of_ring(g, v, weighted, target, normal))
-            return 0;
-        for (int i = 0; i < 3; i++) {
-            for (int d = 0; d < 3; d++)
-                wanted[d] = own[d] + parts[i] * (target[d] - own[d]);
-            if (move_to(g, v, wanted, normal, GOAL_WORST))
-                return 1;
-        }
-    }
-    if (slide_along_creases(g, v, normal))
-        return 1;
-    const double away[2][3] = {{normal[1], -normal[0], 0}, {0, normal[2], -normal[1]}};
-    const double *chosen = away[fabs(normal[2]) >= 0.9];
-    const double length = sqrt(dot(chosen, chosen));
-    for (int d = 0; d < 3; d++)
-        side[d] = chosen[d] / length;
-    cross(normal, side, front);
-    for (int i = 0; i < 12; i++) {
-        const double radius = (0.05 + 0.25 * (i * 7 % 12) / 12) * g->size[v];
-        const double right = radius * cosines[i], ahead = radius * cosines[(i + 9) % 12];
-        for (int d = 0; d < 3; d++)
-            wanted[d] = own[d] + right * side[d] + ahead * front[d];
-        if (move_to(g, v, wanted, normal, GOAL_WORST))
-            return 1;
-    }
-    return 0;
-}
-
-/* Move the vertices of triangles below `quality` to better places. */
-static int64_t search_places(Guarded *g, double quality)
-{
-    int32_t *tried = g->tried[TRIED_SEARCH];
-    int64_t done = 0;
-    for (int32_t v = 0; v < g->n_vertices && !out_of_work(g); v++) {
-        if (g->corner[v] < 0 || (g->marks[v] & FROZEN) || (tried[v] >= 0 && g->touched[v] <= tried[v]))
-            continue;
-        const int moved = ring_quality(g, v) < quality && search_place(g, v);
-        done += moved;
-        tried[v] = moved ? tried[v] : g->clock;
-    }
-    return done;
-}
-
-/* Corners of a face by the length of the opposite edge, shortest first, and that length. */
-static double sort_edges(const Guarded *g, int32_t face, int32_t corners[3])
-{
-    double length[3];
-    for (int k = 0; k < 3; k++) {
-        const int32_t c = 3 * face + k;
-        corners[k] = c;
-        length[k] = squared_distance(place(g, g->faces[next_corner(c)]), place(g, g->faces[previous_corner(c)]));
-    }
-    for (int i = 1; i < 3; i++)
-        for (int j = i; j > 0 && length[corners[j] % 3] < length[corners[j - 1] % 3]; j--) {
-            const int32_t kept = corners[j];
-            corners[j] = corners[j - 1];
-            corners[j - 1] = kept;
-        }
-    return sqrt(length[corners[0] % 3]);
-}
-
-/* Move the vertex of a cap onto the opposite edge, from its foot towards the middle. */
-static int flatten_cap(Guarded *g, int32_t corner)
-{
-    static const double towards_middle[2] = {0, 0.5};
-    const int32_t vertex = g->faces[corner], a = g->faces[next_corner(corner)], b = g->faces[previous_corner(corner)];
-    double along[3], offset[3], wanted[3], target[3], normal[3], projected[3];
-    subtract(place(g, b), place(g, a), along);
-    subtract(place(g, vertex), place(g, a), offset);
-    const double square = dot(along, along), foot = square > 0 ? dot(offset, along) / square : 0;
-    if (!(foot > 0 && foot < 1) || (g->marks[vertex] & FROZEN) || !centre_of_ring(g, vertex, 0, target, normal))
-        return 0;
-    for (int i = 0; i < 2; i++) {
-        const double t = foot + towards_middle[i] * (0.5 - foot);
-        for (int d = 0; d < 3; d++)
-            wanted[d] = place(g, a)[d] + t * along[d];
-        const int32_t face = project(g, vertex, wanted, normal, projected);
-        if (face >= 0 && vhp_flip_onto(g, corner, projected, face)) {
-            g->size[vertex] = vhp_reference_size(g, face, projected);
-            return 1;
-        }
-    }
-    return 0;
-}
-
-static int improve_face(Guarded *g, int32_t face, double quality)
-{
-    int32_t corners[3];
-    const double shortest = sort_edges(g, face, corners);
-    const int too_short = shortest < g->settings.min_edge;
-    if (g->quality[face] >= quality && !too_short)
-        return 0;
-    if (vhp_flip(g, corners[2], FLIP_QUALITY))
-        return 1;
-    for (int k = 0; k < 3; k++)
-        if (try_collapse(g, corners[k], too_short && k == 0 ? 0.05 : -1, UNLIMITED))
-            return 1;
-    return vhp_flip(g, corners[0], FLIP_QUALITY) || vhp_flip(g, corners[1], FLIP_QUALITY) ||
-           flatten_cap(g, corners[2]);
-}
-
-/* Flip or collapse edges of triangles below `quality`, or with an edge that is too short. */
-static int64_t improve_faces(Guarded *g, double quality)
-{
-    int32_t *tried = g->tried[TRIED_IMPROVE];
-    int64_t done = 0;
-    if (!vhp_boxes_build(g))
-        return VHP_OUT_OF_MEMORY;
-    for (int32_t f = 0; f < g->n_faces && !out_of_work(g); f++) {
-        if (!is_live(g, f) || face_unchanged(g, f, tried[f]))
-            continue;
-        const int improved = improve_face(g, f, quality);
-        done += improved;
-        if (!improved)
-            tried[f] = g->clock;
-    }
-    return done;
-}
-
-/* The quality phase: work on triangles below `quality` and on edges below the least length, until nothing helps any
- * more, in at most so many rounds. `moving`: by moving vertices, too. */
-VHP_EXPORT int64_t vhp_guarded_improve(Guarded *g, double quality, int64_t rounds, int moving)
-{
-    int64_t done = 0;
-    /* What was tried at another quality says nothing. */
-    for (int64_t f = 0; f < g->face_room; f++)
-        g->tried[TRIED_IMPROVE][f] = -1;
-    for (int64_t v = 0; v < g->vertex_room; v++)
-        g->tried[TRIED_SEARCH][v] = -1;
-    for (int64_t round = 0; round < rounds && !out_of_work(g); round++) {
-        const int64_t improved = improve_faces(g, quality);
-        if (improved < 0)
-            return improved;
-        const int64_t moved = moving ? search_places(g, quality) : 0;
-        done += improved + moved;
-        if (!improved && !moved)
-            break;
     }
     return g->failed ? VHP_OUT_OF_MEMORY : done;
 }

@@ -27,14 +27,16 @@ Int = NDArray[np.int32]
 # Mirrored from guarded.h.
 _COUNTS = 11
 
+# The guards look at points only, and between them the surface is a little farther away: they keep to this part of the
+# deviation. Measured densely on 150 anatomical surfaces, 95 % then stayed within it, and all within 1.12 of it.
+_MARGIN = 0.9
+
 # An edge of the reference gets samples along it if cutting it off could take the surface farther away than this part
 # of the deviation; so far apart, in wanted lengths; and so many at most.
-_CUT_SHARE = 0.5
-_SAMPLE_SPACING = 0.5
-_MOST_EDGE_SAMPLES = 200
+_CUT_SHARE = 0.25
+_SAMPLE_SPACING = 0.2
+_MOST_EDGE_SAMPLES = 500
 
-import os
-_MARGIN=float(os.environ.get('MARGIN','.9'));_CUT_SHARE=float(os.environ.get('CUT','.25'));_SAMPLE_SPACING=float(os.environ.get('SPACING','.2'))
 # Half a degree: edges are never folded more sharply than this (unless they were before).
 _LEAST_FOLD_DEG = 0.5
 
@@ -318,7 +320,21 @@ class Remesher:
         """What has been done so far."""
         counts = np.zeros(_COUNTS, np.int64)
         _counts(self._handle, address(counts))
-        return Counts(*counts.tolist(), exhausted=bool(counts[-1] > self._settings.max_work))
+        found: list[int] = counts.tolist()
+        return Counts(
+            splits=found[0],
+            collapses=found[1],
+            flips=found[2],
+            relocations=found[3],
+            refused_topology=found[4],
+            refused_quality=found[5],
+            refused_normal=found[6],
+            refused_envelope=found[7],
+            refused_contact=found[8],
+            refused_coverage=found[9],
+            work=found[10],
+            exhausted=found[10] > self._settings.max_work,
+        )
 
     @property
     def n_triangles(self) -> int:

@@ -68,17 +68,17 @@ def as_written(mesh: Mesh) -> Mesh:
     return Mesh(vertices.astype(np.float64), faces[~collapsed])
 
 
-def judge(mesh: Mesh) -> Candidate:
-    """Measure a mesh in its written form."""
+def judge(mesh: Mesh, *, may_be_open: bool = False) -> Candidate:
+    """Measure a mesh in its written form; open edges are no flaw if it may be open."""
     written = as_written(mesh)
     measures, _, _ = inspect_tissue(written, _NO_LIMITS)
-    return Candidate(written, measures, tuple(_flaws(measures)))
+    return Candidate(written, measures, tuple(_flaws(measures, may_be_open)))
 
 
-def _flaws(measures: TissueMeasures) -> list[str]:
+def _flaws(measures: TissueMeasures, may_be_open: bool) -> list[str]:
     topology, hits = measures["topology"], measures["self_intersections"]
     counted = [
-        (topology["boundary_edges"], "open edge", "open edges"),
+        (0 if may_be_open else topology["boundary_edges"], "open edge", "open edges"),
         (topology["nonmanifold_edges"], "non-manifold edge", "non-manifold edges"),
         (topology["nonmanifold_vertices"], "non-manifold vertex", "non-manifold vertices"),
         (topology["inconsistent_edges"], "inconsistently oriented edge", "inconsistently oriented edges"),
@@ -88,7 +88,8 @@ def _flaws(measures: TissueMeasures) -> list[str]:
         (hits["pairs"], "pair of intersecting faces", "pairs of intersecting faces"),
     ]
     flaws = [f"{count} {one if count == 1 else many}" for count, one, many in counted if count]
-    if not flaws and not measures["outward"]:
+    is_open = may_be_open and topology["boundary_edges"] > 0
+    if not flaws and not measures["outward"] and not is_open:
         flaws.append("no volume" if measures["triangles"] else "no faces")
     return flaws
 

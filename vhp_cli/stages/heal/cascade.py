@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
+
 from vhp_cli.inspection.deviation import LostPart, deviation, lost_parts
 from vhp_cli.measures import Action
 from vhp_cli.mesh import Mesh
@@ -16,12 +18,13 @@ from vhp_cli.stages.heal.crossings import cut_and_fill, untangle
 from vhp_cli.stages.heal.holes import fill_holes
 from vhp_cli.stages.heal.junctions import join_cracks
 from vhp_cli.stages.heal.manifold import make_manifold
-from vhp_cli.stages.heal.openings import drop_shards
+from vhp_cli.stages.heal.openings import defects, drop_shards, parts
 from vhp_cli.stages.heal.options import HealOptions
 from vhp_cli.stages.heal.orientation import orient
 from vhp_cli.stages.heal.quality import improve, is_good
 from vhp_cli.stages.heal.rebuild import envelope, refill, wrap
 from vhp_cli.stages.heal.separation import separate
+from vhp_cli.stages.heal.thicken import thicken
 from vhp_cli.stages.heal.union import unite
 from vhp_cli.stages.heal.walls import join_walls
 from vhp_cli.stages.outcome import Outcome
@@ -72,10 +75,11 @@ def heal(mesh: Mesh, options: HealOptions) -> Outcome:
         to do, or nothing that helps; ``refused``, with the reason, if the surface is no solid or no repair made it
         one.
     """
-    healed, actions = judge(mesh), Actions()
-    if healed.sound and (options.only_topology or is_good(healed, options)):
+    healed, actions = judge(mesh, may_be_open=not options.cap_openings), Actions()
+    is_whole = healed.sound and (options.cap_openings or not defects(healed.mesh))
+    if is_whole and (options.only_topology or is_good(healed, options)):
         return Outcome(None, "unchanged")
-    if not healed.sound:
+    if not is_whole:
         try:
             repaired = _repair(mesh, options)
         except Refused as refused:
@@ -102,21 +106,22 @@ def _repair(mesh: Mesh, options: HealOptions) -> _Repaired:
     Refused
         If there is none.
     """
-    limits: dict[str, float] = {"timeout_s": options.engine_timeout_s, "memory_gb": options.engine_memory_gb}
-    search = _Search(mesh)
+    timeout, memory = options.engine_timeout_s, options.engine_memory_gb
+    search = _Search(mesh, options)
     closed = search.add("topology", *_closed(mesh, options))
     untangled = search.run("untangling", _untangle, closed)
     search.run("cutting and filling", cut_and_fill, untangled)
-    united = search.run("union", partial(unite, **limits), untangled)
+    if not options.cap_openings:
+        # The rest needs a closed surface, or makes one.
+        return search.result()
+    united = search.run("union", partial(unite, timeout_s=timeout, memory_gb=memory), untangled)
     search.run("cutting after the union", cut_and_fill, united)
-    search.run("union of either sign", partial(unite, either_sign=True, **limits), untangled)
-    for name, rebuild in (("refilling", refill), ("envelope", envelope), ("wrapping", wrap)):
+    search.run("union of either sign", partial(unite, either_sign=True, timeout_s=timeout, memory_gb=memory), untangled)
+    for name, rebuild in (("refilling", refill), ("wrapping", wrap), ("envelope", envelope)):
         # They replace the whole surface, and may close a lumen: not to win back a part that was lost.
         if search.best is None:
-            search.run(name, partial(rebuild, **limits), closed)
-    if search.best is None:
-        raise Refused("no repair gave a sound solid; " + "; ".join(search.failures))
-    return search.best
+            search.run(name, partial(rebuild, timeout_s=timeout, memory_gb=memory), closed)
+    return search.result()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,8 +136,9 @@ class _Made:
 class _Search:
     """Repairs tried one after the other; those after one that lost nothing are skipped."""
 
-    def __init__(self, given: Mesh) -> None:
+    def __init__(self, given: Mesh, options: HealOptions) -> None:
         self.given = given
+        self.options = options
         self.best: _Repaired | None = None
         self.failures: list[str] = []
         self._limit = lost_limit(given)
@@ -150,7 +156,7 @@ class _Search:
 
     def add(self, name: str, mesh: Mesh, actions: Actions) -> _Made:
         """Judge a result."""
-        candidate = judge(mesh)
+        candidate = judge(mesh, may_be_open=not self.options.cap_openings)
         if candidate.sound:
             lost = lost_parts(self.given, candidate.mesh, limit_mm=self._limit)
             found = _Repaired(candidate, actions, lost)
@@ -163,6 +169,18 @@ class _Search:
             self.failures.append(f"{name}: {', '.join(candidate.flaws)}")
         return _Made(candidate.mesh, actions, candidate.sound)
 
+    def result(self) -> _Repaired:
+        """Return the best result.
+
+        Raises
+        ------
+        Refused
+            If there is none.
+        """
+        if self.best is None:
+            raise Refused("no repair gave a sound solid; " + "; ".join(self.failures))
+        return self.best
+
 
 def _closed(mesh: Mesh, options: HealOptions) -> tuple[Mesh, Actions]:
     """Make a mesh closed, manifold and oriented as far as that goes without moving its surface.
@@ -173,28 +191,24 @@ def _closed(mesh: Mesh, options: HealOptions) -> tuple[Mesh, Actions]:
         If it is no solid.
     """
     actions = Actions()
-    for round_ in range(_MOST_ROUNDS):
-        steps: list[Step] = [
-            lambda mesh: clean(mesh, options.min_component_mm),
-            join_cracks,
-            make_manifold,
-            orient,
-            join_walls,
-            _drop_shards,
-            lambda mesh: fill_holes(mesh)[:2],
-            make_manifold,
-            orient,
-            separate,
-        ]
-        for step in steps:
+    for _ in range(_MOST_ROUNDS):
+        for step in _closing_steps(options):
             mesh, done = step(mesh)
             actions += done
-        candidate = judge(mesh)
+        candidate = judge(mesh, may_be_open=not options.cap_openings)
         mesh = candidate.mesh
-        left = [flaw for flaw in candidate.flaws if "intersecting" not in flaw]
-        if not left:
+        if all("intersecting" in flaw for flaw in candidate.flaws):
             break
     return mesh, actions
+
+
+def _closing_steps(options: HealOptions) -> list[Step]:
+    start: list[Step] = [partial(clean, min_component=options.min_component_mm), join_cracks, make_manifold, orient]
+    if options.cap_openings:
+        fill: list[Step] = [join_walls, partial(_solid_parts, options=options), lambda mesh: fill_holes(mesh)[:2]]
+    else:
+        fill = [lambda mesh: fill_holes(mesh, defects(mesh))[:2]]
+    return [*start, *fill, make_manifold, orient, separate]
 
 
 def _untangle(mesh: Mesh) -> tuple[Mesh, Actions]:
@@ -203,8 +217,12 @@ def _untangle(mesh: Mesh) -> tuple[Mesh, Actions]:
     return untangle(mesh) if pairs <= MOST_TANGLED * len(mesh.faces) else (mesh, [])
 
 
-def _drop_shards(mesh: Mesh) -> tuple[Mesh, Actions]:
-    mesh, actions, refusal = drop_shards(mesh)
-    if refusal:
-        raise Refused(refusal)
-    return mesh, actions
+def _solid_parts(mesh: Mesh, options: HealOptions) -> tuple[Mesh, Actions]:
+    """Take out shards; make a sheet a solid if that is asked for, else refuse it."""
+    left, actions, refusal = drop_shards(mesh)
+    if not refusal:
+        return left, actions
+    if options.thicken_mm is None:
+        raise Refused(f"{refusal}; --thicken would make it a plate")
+    sheets = [part.faces for part in parts(mesh) if part.flaw]
+    return thicken(mesh, np.logical_or.reduce(sheets), options.thicken_mm)

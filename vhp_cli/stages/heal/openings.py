@@ -11,7 +11,7 @@ from vhp_cli.inspection.places import point
 from vhp_cli.kernels.surface import topology
 from vhp_cli.measures import Action
 from vhp_cli.mesh import Mesh
-from vhp_cli.stages.heal.candidate import face_areas
+from vhp_cli.stages.heal.candidate import diagonal, face_areas
 from vhp_cli.stages.heal.clean import compact
 from vhp_cli.stages.heal.holes import Hole, holes
 
@@ -27,6 +27,12 @@ ZIGZAG = 2.5
 FLAT_BOWL = 0.02
 # An open shard beside a solid is taken out if it has less than this share of the area; a larger one is a patch.
 SHARD_SHARE = 0.02
+
+
+# A hole is an opening, where a vessel or organ was cut, if it has so many edges and is so long around, over the
+# diagonal of the box; else it is a defect.
+OPENING_EDGES = 8
+OPENING_SHARE = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,6 +95,12 @@ def parts(mesh: Mesh) -> list[Part]:
             )
         )
     return found
+
+
+def defects(mesh: Mesh) -> list[Hole]:
+    """Return the holes of a mesh that are no openings."""
+    least = OPENING_SHARE * diagonal(mesh)
+    return [hole for hole in holes(mesh) if hole.edges < OPENING_EDGES or hole.length_mm < least]
 
 
 def is_jagged(loop: NDArray[np.float64], planarity: float) -> bool:

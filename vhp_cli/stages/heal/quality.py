@@ -14,7 +14,7 @@ from vhp_cli.measures import Action
 from vhp_cli.mesh import Mesh
 from vhp_cli.stages.heal.candidate import Candidate, diagonal, face_quality, judge
 from vhp_cli.stages.heal.options import HealOptions
-from vhp_cli.stages.heal.sizing import Limits, propose_limits, sizing, walls
+from vhp_cli.stages.heal.sizing import Limits, propose_limits, sizes_around, sizing, walls
 
 # The quality phase works on triangles below this q, so that what it leaves lies well above the target.
 _WORK_BELOW = 0.45
@@ -26,8 +26,14 @@ _FLAT_WAY = 1e-4
 # Shares of the allowed deviation: of the first pass, and of the rescues that follow if it does not suffice.
 _FIRST_SHARE = 0.5
 _RESCUE_SHARES = (0.65, 0.8)
+# Shares of the deviation for refining around what is still bad; added to those before, they stay below 1.
+_LOCAL_SHARES = (0.15, 0.2)
 # A second attempt has edges shorter by this factor: what is curved or thin then has room for good triangles.
 _FINER = 0.7
+# Bound on the time of one run: boxes and triangles looked at, some 1e8 in 5 to 10 seconds.
+_MOST_WORK = 300_000_000
+# Logarithm of the mean edge length over the wanted one, up to which an edge length counts as met.
+_NEAR_LENGTH = 0.25
 # A mesh may grow by this factor over its input, and to this number in any case.
 _GROWTH = 2.5
 _FEW_TRIANGLES = 2_000
@@ -35,10 +41,7 @@ _FEW_TRIANGLES = 2_000
 
 def is_good(candidate: Candidate, options: HealOptions) -> bool:
     """Tell whether the triangles of a mesh need nothing."""
-    wishes = options.edge_length_mm is not None or (
-        options.max_triangles is not None and candidate.measures["triangles"] > options.max_triangles
-    )
-    return not wishes and _rank(candidate, options)[:3] == (True, True, True)
+    return _suffices(_rank(candidate, options))
 
 
 def deviation_limit(mesh: Mesh, options: HealOptions) -> float:
@@ -69,12 +72,16 @@ def improve(solid: Candidate, given: Mesh, options: HealOptions) -> tuple[Candid
     if is_good(solid, options):
         return solid, []
     attempts = _Attempts(solid, given, options)
-    if options.edge_length_mm is None and options.max_triangles is None:
+    if options.edge_length_mm is None and options.max_triangles is None and solid.mean_quality >= MEAN_QUALITY:
         attempts.touch_up()
     for factor in (1.0, _FINER):
         if attempts.done:
             break
         attempts.remesh(factor)
+    for share in _LOCAL_SHARES:
+        if not attempts.bad_faces:
+            break
+        attempts.refine(share)
     return attempts.best, attempts.actions()
 
 
@@ -126,29 +133,70 @@ class _Attempts:
         self.allowed = deviation_limit(given, options)
         self.given_triangles = len(given.faces)
         self.best = solid
-        self.steps: list[str] = []
+        self.step = ""
         self._walls = walls(solid.mesh)
 
     @property
     def done(self) -> bool:
         """Whether the best attempt needs nothing more."""
-        return self.best is not self.solid and _rank(self.best, self.options)[:3] == (True, True, True)
+        return self.best is not self.solid and _suffices(_rank(self.best, self.options))
 
     def touch_up(self) -> None:
         """Repair bad triangles where they are; the rest of the mesh stays as it is."""
-        field = self._field(1.0)
-        remesher = self._remesher(self.solid.mesh, field, _FIRST_SHARE)
-        self._run(remesher, 0, bulk=False, step="bad triangles reshaped")
-        self._rescue(field)
+        self._attempt(self._field(1.0), 0, bulk=False, step="bad triangles reshaped")
 
     def remesh(self, factor: float) -> None:
         """Remesh to the sizing field, its lengths multiplied by a factor."""
         field = self._field(factor)
-        remesher = self._remesher(self.solid.mesh, field, _FIRST_SHARE)
-        before = self.best
-        self._run(remesher, 5, bulk=True, step=f"remeshed to edges of {field.limits.longest_mm:.2g} mm")
-        if self.best is not before:
-            self._rescue(field)
+        self._attempt(field, 5, bulk=True, step=f"remeshed to edges of {field.limits.longest_mm:.2g} mm")
+
+    @property
+    def bad_faces(self) -> int:
+        """Number of faces of the best attempt below the wanted quality, if it is an attempt."""
+        if self.best is self.solid:
+            return 0
+        return int((face_quality(self.best.mesh) < self.options.target_quality).sum())
+
+    def refine(self, share: float) -> None:
+        """Remesh with shorter edges around the bad faces of the best attempt, which becomes the reference."""
+        mesh = self.best.mesh
+        bad = face_quality(mesh) < self.options.target_quality
+        sizes = sizes_around(mesh, bad)
+        remesher = Remesher(
+            mesh.vertices,
+            mesh.faces,
+            sizes=sizes,
+            deviation=share * self.allowed,
+            target_quality=max(_WORK_BELOW, self.options.target_quality),
+            floor=max(0.35, self.options.target_quality),
+            min_edge=max(self.options.min_edge_mm, 0.25 * float(sizes.min())),
+            max_triangles=self.options.max_triangles or 2 * len(mesh.faces) + 1000,
+            max_work=_MOST_WORK,
+        )
+        remesher.run(3)
+        remesher.restore_volume()
+        found = judge(Mesh(*remesher.result()), may_be_open=not self.options.cap_openings)
+        if found.sound and _rank(found, self.options) > _rank(self.best, self.options) and self._keeps_shape(found):
+            self.best = found
+
+    def _attempt(self, field: _Field, iterations: int, *, bulk: bool, step: str) -> None:
+        """Run the remesher, and again with wider envelopes where it does not suffice; take the best result."""
+        found = [self._run(self.solid.mesh, field, _FIRST_SHARE, iterations, bulk=bulk)]
+        for share in _RESCUE_SHARES:
+            if not found[-1].sound or _suffices(_rank(found[-1], self.options)):
+                break
+            found.append(self._run(found[-1].mesh, field, share, 0, bulk=False))
+        for candidate in sorted(found, key=lambda one: _rank(one, self.options), reverse=True):
+            better = candidate.sound and _rank(candidate, self.options) > _rank(self.best, self.options)
+            if better and self._keeps_shape(candidate):
+                self.best, self.step = candidate, step
+                break
+
+    def _run(self, mesh: Mesh, field: _Field, share: float, iterations: int, *, bulk: bool) -> Candidate:
+        remesher = self._remesher(mesh, field, share)
+        remesher.run(iterations, bulk=bulk)
+        remesher.restore_volume()
+        return judge(Mesh(*remesher.result()), may_be_open=not self.options.cap_openings)
 
     def actions(self) -> list[Action]:
         """Say what was done, in one action."""
@@ -156,27 +204,12 @@ class _Attempts:
             return []
         first, last = self.solid, self.best
         message = (
-            f"{self.steps[-1]}: {first.measures['triangles']} -> {last.measures['triangles']} triangles, "
+            f"{self.step}: {first.measures['triangles']} -> {last.measures['triangles']} triangles, "
             f"min q {first.min_quality:.2g} -> {last.min_quality:.2g}, "
             f"mean q {first.mean_quality:.2f} -> {last.mean_quality:.2f}, "
             f"min edge {first.min_edge:.2g} -> {last.min_edge:.2g} mm"
         )
         return [{"step": "remesh", "message": message, "count": last.measures["triangles"], "places": []}]
-
-    def _rescue(self, field: _Field) -> None:
-        for share in _RESCUE_SHARES:
-            if self.done or self.best is self.solid:
-                return
-            remesher = self._remesher(self.best.mesh, field, share)
-            self._run(remesher, 0, bulk=False, step=self.steps[-1])
-
-    def _run(self, remesher: Remesher, iterations: int, *, bulk: bool, step: str) -> None:
-        remesher.run(iterations, bulk=bulk)
-        remesher.restore_volume()
-        found = judge(Mesh(*remesher.result()))
-        if found.sound and _rank(found, self.options) > _rank(self.best, self.options) and self._keeps_shape(found):
-            self.best = found
-            self.steps.append(step)
 
     def _keeps_shape(self, found: Candidate) -> bool:
         """Measure what the guards promise: they look at a few points of each triangle only."""
@@ -222,16 +255,29 @@ class _Attempts:
             target_quality=max(_WORK_BELOW, self.options.target_quality),
             floor=max(0.35, self.options.target_quality),
             min_edge=max(self.options.min_edge_mm, 0.25 * field.limits.shortest_mm),
-            max_triangles=self.options.max_triangles or 1_000_000,
+            max_triangles=self.options.max_triangles or 3 * max(field.estimate, len(mesh.faces)),
+            max_work=_MOST_WORK,
         )
 
 
-def _rank(candidate: Candidate, options: HealOptions) -> tuple[bool, bool, bool, float, float]:
-    """Order candidates: what is asked for first, then how far they go beyond."""
+# In this order: few enough triangles; edges as long as asked; min q, shortest edge and mean q as wanted; and how far
+# they go beyond.
+_Rank = tuple[bool, bool, bool, bool, bool, float, float]
+
+
+def _rank(candidate: Candidate, options: HealOptions) -> _Rank:
+    edge = candidate.measures["edge_mm"]
+    wanted = options.edge_length_mm
     return (
+        options.max_triangles is None or candidate.measures["triangles"] <= options.max_triangles,
+        wanted is None or (edge is not None and abs(np.log(edge["mean"] / wanted)) < _NEAR_LENGTH),
         candidate.min_quality >= options.target_quality,
         candidate.min_edge >= options.min_edge_mm,
         candidate.mean_quality >= MEAN_QUALITY,
         min(candidate.min_quality, _WORK_BELOW),
         candidate.mean_quality,
     )
+
+
+def _suffices(rank: _Rank) -> bool:
+    return all(rank[:5])

@@ -202,6 +202,35 @@ def sizing(
     return _within_budget(mesh, areas, graph, wanted, gradation, budget_triangles)
 
 
+def sizes_around(mesh: Mesh, bad: NDArray[np.bool_], *, gradation: float = 0.4) -> Floats:
+    """Return edge lengths (V,) in mm that refine a mesh around bad faces and leave it as it is elsewhere.
+
+    A needle gets neighbours as small as its shortest edge; the lengths grow back to those of the mesh around.
+
+    Parameters
+    ----------
+    mesh
+        The mesh.
+    bad : (F,) bool
+        Its bad faces.
+    gradation
+        Growth of the lengths in mm per mm.
+    """
+    joined = topology(mesh.vertices, mesh.faces)
+    edges = np.concatenate((joined.inner_edges, joined.boundary_edges, joined.nonmanifold_edges))
+    lengths = np.linalg.norm(mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1)
+    graph = _Graph(edges, lengths, len(mesh.vertices))
+    count = np.bincount(edges.ravel(), minlength=len(mesh.vertices))
+    total = np.bincount(edges[:, 0], lengths, len(mesh.vertices)) + np.bincount(
+        edges[:, 1], lengths, len(mesh.vertices)
+    )
+    wanted = np.where(count > 0, total / np.maximum(count, 1), lengths.mean() if len(lengths) else 1.0)
+    corners = mesh.vertices[mesh.faces[bad]]
+    shortest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).min(axis=1)
+    np.minimum.at(wanted, mesh.faces[bad].ravel(), np.repeat(shortest, 3))
+    return graph.graded(np.maximum(wanted, 1e-300), gradation)
+
+
 class _Graph:
     """The vertices of a mesh and their neighbours."""
 
