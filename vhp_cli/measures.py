@@ -153,6 +153,7 @@ class Deviation(TypedDict):
     to_output: Distance  # from the input's surface to the output
     to_input: Distance  # from the output's surface to the input
     lost_area_mm2: float  # of the input's surface beyond `lost_limit_mm` from the output
+    lost_outside_mm2: float  # the part of it that lies outside of the output: material that is gone
     lost_limit_mm: float
     lost_places: list[Place]  # the farthest place of each part that was lost; `value` is its distance
 

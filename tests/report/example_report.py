@@ -208,7 +208,7 @@ def healed() -> Report:
     off = {"max": 0.0213, "mean": 0.0015, "xyz_mm": [12.0, -7.0, 1023.0]}
     deviation = {
         "max": 0.0213, "mean": 0.0015, "to_output": off, "to_input": {"max": 0.0, "mean": 0.0, "xyz_mm": None},
-        "lost_area_mm2": 0.0, "lost_limit_mm": 0.1, "lost_places": [],
+        "lost_area_mm2": 0.0, "lost_outside_mm2": 0.0, "lost_limit_mm": 0.1, "lost_places": [],
     }  # fmt: skip
     none = {**deviation, "max": 0.0, "mean": 0.0, "to_output": deviation["to_input"]}
     actions = [

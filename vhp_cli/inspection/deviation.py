@@ -101,7 +101,7 @@ def deviation(before: Mesh, after: Mesh, *, lost_limit_mm: float) -> Deviation:
     samples = _sample(before)
     distances = closest(after_tree, samples.points).distances
     to_output = _distance(samples, distances)
-    parts = _lost_parts(before, samples, distances, lost_limit_mm, None)
+    parts = _lost_parts(before, samples, distances, lost_limit_mm, after_tree)
     back = _sample(after)
     to_input = _distance(back, closest(before_tree, back.points).distances)
     places: list[Place] = [
@@ -113,6 +113,7 @@ def deviation(before: Mesh, after: Mesh, *, lost_limit_mm: float) -> Deviation:
         "to_output": to_output,
         "to_input": to_input,
         "lost_area_mm2": float(sum(part.area_mm2 for part in parts)),
+        "lost_outside_mm2": float(sum(part.area_mm2 * part.share_outside for part in parts)),
         "lost_limit_mm": float(lost_limit_mm),
         "lost_places": places,
     }

@@ -28,7 +28,7 @@ Int = NDArray[np.int32]
 _COUNTS = 11
 
 # The guards look at points only, and between them the surface is a little farther away: they keep to this part of the
-# deviation. Measured densely on 150 anatomical surfaces, 95 % then stayed within it, and all within 1.12 of it.
+# deviation. Measured densely on 152 closed surfaces, 147 then stayed within it, and the worst within 1.3 of it.
 _MARGIN = 0.9
 
 # An edge of the reference gets samples along it if cutting it off could take the surface farther away than this part
@@ -143,7 +143,7 @@ class Remesher:
     max_triangles
         No edge is split beyond that number.
     max_work
-        Bound on the time, by number of boxes and triangles looked at (about 1e8 a second): after it no operation
+        Bound on the time, by number of boxes and triangles looked at (about 3e7 a second): after it no operation
         begins.
     frozen : (V,) array_like of bool, optional
         Vertices that never move.
@@ -171,7 +171,7 @@ class Remesher:
         floor: float = 0.35,
         min_edge: float = 0.01,
         max_triangles: int = 1_000_000,
-        max_work: int = 3_000_000_000,
+        max_work: int = 1_000_000_000,
         frozen: ArrayLike | None = None,
     ) -> None:
         vertices, faces = _checked_mesh(vertices, faces)

@@ -85,6 +85,7 @@ def _no_deviation() -> Deviation:
         "to_output": way,
         "to_input": way.copy(),
         "lost_area_mm2": 0.0,
+        "lost_outside_mm2": 0.0,
         "lost_limit_mm": 0.0,
         "lost_places": [],
     }

@@ -156,6 +156,7 @@ def _rounding(reading: Reading) -> Deviation:
         "to_output": way,
         "to_input": way.copy(),
         "lost_area_mm2": 0.0,
+        "lost_outside_mm2": 0.0,
         "lost_limit_mm": farthest,
         "lost_places": [],
     }

@@ -36,8 +36,6 @@ Step = Callable[[Mesh], tuple[Mesh, Actions]]
 _MOST_ROUNDS = 3
 # A repair that leaves more than this share of the input's surface outside is none.
 MOST_LOST = 0.1
-# Pairs of intersecting faces over faces, beyond which nothing is untangled.
-MOST_TANGLED = 0.5
 
 
 class Refused(Exception):
@@ -109,7 +107,7 @@ def _repair(mesh: Mesh, options: HealOptions) -> _Repaired:
     timeout, memory = options.engine_timeout_s, options.engine_memory_gb
     search = _Search(mesh, options)
     closed = search.add("topology", *_closed(mesh, options))
-    untangled = search.run("untangling", _untangle, closed)
+    untangled = search.run("untangling", untangle, closed)
     search.run("cutting and filling", cut_and_fill, untangled)
     if not options.cap_openings:
         # The rest needs a closed surface, or makes one.
@@ -209,12 +207,6 @@ def _closing_steps(options: HealOptions) -> list[Step]:
     else:
         fill = [lambda mesh: fill_holes(mesh, defects(mesh))[:2]]
     return [*start, *fill, make_manifold, orient, separate]
-
-
-def _untangle(mesh: Mesh) -> tuple[Mesh, Actions]:
-    """Untangle a surface that is not one tangle altogether, which takes long and leads nowhere."""
-    pairs = judge(mesh).measures["self_intersections"]["pairs"]
-    return untangle(mesh) if pairs <= MOST_TANGLED * len(mesh.faces) else (mesh, [])
 
 
 def _solid_parts(mesh: Mesh, options: HealOptions) -> tuple[Mesh, Actions]:

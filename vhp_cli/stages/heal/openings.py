@@ -20,7 +20,7 @@ CAP_SHARE = 0.1
 # A border counts as cut in a plane if its root mean square distance from one is below this share of its length, ...
 PLANE_CUT = 0.045
 # ... and as jagged, all the same, above this share if it also zigzags: its turns add up to so many full circles.
-NEAR_PLANE = 0.015
+NEAR_PLANE = 0.005
 ZIGZAG = 2.5
 # Even plane caps make no solid of a sheet: it lies nearly in their plane, or they are larger than all of it. Volume
 # over (area of caps)^1.5; half a ball has 0.38, a bowl of a tenth of its radius 0.03.

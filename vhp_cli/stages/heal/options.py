@@ -45,7 +45,7 @@ class HealOptions:
     """
 
     max_deviation_mm: float | None = None
-    target_quality: float = 0.3
+    target_quality: float = 0.4
     min_edge_mm: float = 0.01
     edge_length_mm: float | None = None
     max_triangles: int | None = None

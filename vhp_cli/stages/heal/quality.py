@@ -30,8 +30,8 @@ _RESCUE_SHARES = (0.65, 0.8)
 _LOCAL_SHARES = (0.15, 0.2)
 # A second attempt has edges shorter by this factor: what is curved or thin then has room for good triangles.
 _FINER = 0.7
-# Bound on the time of one run: boxes and triangles looked at, some 1e8 in 5 to 10 seconds.
-_MOST_WORK = 300_000_000
+# Bound on the time for one tissue: boxes and triangles looked at, some 3e7 in a second.
+_MOST_WORK = 600_000_000
 # Logarithm of the mean edge length over the wanted one, up to which an edge length counts as met.
 _NEAR_LENGTH = 0.25
 # A mesh may grow by this factor over its input, and to this number in any case.
@@ -134,12 +134,13 @@ class _Attempts:
         self.given_triangles = len(given.faces)
         self.best = solid
         self.step = ""
+        self._work_left = _MOST_WORK
         self._walls = walls(solid.mesh)
 
     @property
     def done(self) -> bool:
         """Whether the best attempt needs nothing more."""
-        return self.best is not self.solid and _suffices(_rank(self.best, self.options))
+        return self._work_left <= 1 or self.best is not self.solid and _suffices(_rank(self.best, self.options))
 
     def touch_up(self) -> None:
         """Repair bad triangles where they are; the rest of the mesh stays as it is."""
@@ -153,7 +154,7 @@ class _Attempts:
     @property
     def bad_faces(self) -> int:
         """Number of faces of the best attempt below the wanted quality, if it is an attempt."""
-        if self.best is self.solid:
+        if self.best is self.solid or self._work_left <= 1:
             return 0
         return int((face_quality(self.best.mesh) < self.options.target_quality).sum())
 
@@ -171,11 +172,9 @@ class _Attempts:
             floor=max(0.35, self.options.target_quality),
             min_edge=max(self.options.min_edge_mm, 0.25 * float(sizes.min())),
             max_triangles=self.options.max_triangles or 2 * len(mesh.faces) + 1000,
-            max_work=_MOST_WORK,
+            max_work=self._work_left,
         )
-        remesher.run(3)
-        remesher.restore_volume()
-        found = judge(Mesh(*remesher.result()), may_be_open=not self.options.cap_openings)
+        found = self._result(remesher, 3, bulk=True)
         if found.sound and _rank(found, self.options) > _rank(self.best, self.options) and self._keeps_shape(found):
             self.best = found
 
@@ -193,9 +192,12 @@ class _Attempts:
                 break
 
     def _run(self, mesh: Mesh, field: _Field, share: float, iterations: int, *, bulk: bool) -> Candidate:
-        remesher = self._remesher(mesh, field, share)
+        return self._result(self._remesher(mesh, field, share), iterations, bulk=bulk)
+
+    def _result(self, remesher: Remesher, iterations: int, *, bulk: bool) -> Candidate:
         remesher.run(iterations, bulk=bulk)
         remesher.restore_volume()
+        self._work_left = max(1, self._work_left - remesher.counts.work)
         return judge(Mesh(*remesher.result()), may_be_open=not self.options.cap_openings)
 
     def actions(self) -> list[Action]:
@@ -256,7 +258,7 @@ class _Attempts:
             floor=max(0.35, self.options.target_quality),
             min_edge=max(self.options.min_edge_mm, 0.25 * field.limits.shortest_mm),
             max_triangles=self.options.max_triangles or 3 * max(field.estimate, len(mesh.faces)),
-            max_work=_MOST_WORK,
+            max_work=self._work_left,
         )
 
 
