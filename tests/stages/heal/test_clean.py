@@ -141,3 +141,12 @@ def test_cavities_and_open_parts_are_kept():
     mesh = joined(sphere(), flipped(sphere(5)), without(sphere(3, (40, 0, 0)), [0]))
     same, _ = clean.clean(mesh)
     assert same is mesh
+
+
+def test_plugs_without_thickness_are_removed_and_thin_plates_kept() -> None:
+    plug, plate = box((20, 0, 0), (21, 1, 0.001)), box((30, 0, 0), (40, 10, 0.5))
+    left, actions = clean.remove_plugs(joined(box(), plug, plate), 0.02)
+    assert len(left.faces) == 24
+    (action,) = actions
+    assert action["volume_mm3"] == pytest.approx(-0.001, rel=1e-3)
+    assert np.linalg.norm(np.subtract(action["places"][0]["xyz_mm"], [20.5, 0.5, 0.0])) < 1

@@ -285,6 +285,46 @@ def remove_specks(mesh: Mesh, min_component: float | None = None) -> tuple[Mesh,
     return Mesh(mesh.vertices, mesh.faces[~drop]), actions
 
 
+def remove_plugs(mesh: Mesh, thickness: float) -> tuple[Mesh, list[Action]]:
+    """Remove closed components that are thinner than what the file can hold, as exact cuts leave them behind.
+
+    Parameters
+    ----------
+    mesh
+        Closed and oriented.
+    thickness
+        Three times volume over area, the radius of a ball, below which a component is removed, in mm.
+
+    Returns
+    -------
+    mesh, actions
+        One action for every component that was removed. The largest component always stays.
+    """
+    found = topology(mesh.vertices, mesh.faces)
+    if found.n_components <= 1:
+        return mesh, []
+    measured = quality(mesh.vertices, mesh.faces, found.component, found.n_components)
+    thin = 3 * np.abs(measured.component_volume) < thickness * measured.component_area
+    thin[np.argmax(measured.component_area)] = False
+    if not thin.any():
+        return mesh, []
+    sizes = component_diagonals(mesh, found.component)
+    actions: list[Action] = []
+    for plug in np.flatnonzero(thin):
+        own = np.flatnonzero(found.component == plug)
+        actions.append(
+            {
+                "step": "clean",
+                "message": f"a separate part of next to no thickness, {sizes[plug]:.3g} mm across, removed",
+                "count": len(own),
+                "places": at_faces(mesh, own[:1], sizes[plug : plug + 1]),
+                "area_mm2": float(measured.component_area[plug]),
+                "volume_mm3": -float(abs(measured.component_volume[plug])),
+            }
+        )
+    return compact(Mesh(mesh.vertices, mesh.faces[~thin[found.component]])), actions
+
+
 def component_diagonals(mesh: Mesh, components: NDArray[np.int32]) -> NDArray[np.float64]:
     """Return the diagonal of the box around each component, in mm.
 

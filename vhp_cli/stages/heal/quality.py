@@ -28,6 +28,10 @@ _FIRST_SHARE = 0.5
 _RESCUE_SHARES = (0.65, 0.8)
 # Shares of the deviation for refining around what is still bad; added to those before, they stay below 1.
 _LOCAL_SHARES = (0.15, 0.2)
+# ... and no edge is asked for that is shorter than this many of the shortest that is allowed.
+_LEAST_EDGES = 4
+# Where the guards promised too much, the remesher runs again with this part of the deviation.
+_CAREFUL = 0.6
 # A second attempt has edges shorter by this factor: what is curved or thin then has room for good triangles.
 _FINER = 0.7
 # Bound on the time for one tissue: boxes and triangles looked at, some 3e7 in a second.
@@ -140,7 +144,7 @@ class _Attempts:
     @property
     def done(self) -> bool:
         """Whether the best attempt needs nothing more."""
-        return self._work_left <= 1 or self.best is not self.solid and _suffices(_rank(self.best, self.options))
+        return self._work_left <= 1 or (self.best is not self.solid and _suffices(_rank(self.best, self.options)))
 
     def touch_up(self) -> None:
         """Repair bad triangles where they are; the rest of the mesh stays as it is."""
@@ -162,7 +166,7 @@ class _Attempts:
         """Remesh with shorter edges around the bad faces of the best attempt, which becomes the reference."""
         mesh = self.best.mesh
         bad = face_quality(mesh) < self.options.target_quality
-        sizes = sizes_around(mesh, bad)
+        sizes = np.maximum(sizes_around(mesh, bad), _LEAST_EDGES * self.options.min_edge_mm)
         remesher = Remesher(
             mesh.vertices,
             mesh.faces,
@@ -175,8 +179,7 @@ class _Attempts:
             max_work=self._work_left,
         )
         found = self._result(remesher, 3, bulk=True)
-        if found.sound and _rank(found, self.options) > _rank(self.best, self.options) and self._keeps_shape(found):
-            self.best = found
+        self._take_best([found], self.step)
 
     def _attempt(self, field: _Field, iterations: int, *, bulk: bool, step: str) -> None:
         """Run the remesher, and again with wider envelopes where it does not suffice; take the best result."""
@@ -185,11 +188,19 @@ class _Attempts:
             if not found[-1].sound or _suffices(_rank(found[-1], self.options)):
                 break
             found.append(self._run(found[-1].mesh, field, share, 0, bulk=False))
+        if self._take_best(found, step) or not any(self._is_better(candidate) for candidate in found):
+            return
+        self._take_best([self._run(self.solid.mesh, field, _CAREFUL * _FIRST_SHARE, iterations, bulk=bulk)], step)
+
+    def _take_best(self, found: list[Candidate], step: str) -> bool:
         for candidate in sorted(found, key=lambda one: _rank(one, self.options), reverse=True):
-            better = candidate.sound and _rank(candidate, self.options) > _rank(self.best, self.options)
-            if better and self._keeps_shape(candidate):
+            if self._is_better(candidate) and self._keeps_shape(candidate):
                 self.best, self.step = candidate, step
-                break
+                return True
+        return False
+
+    def _is_better(self, candidate: Candidate) -> bool:
+        return candidate.sound and _rank(candidate, self.options) > _rank(self.best, self.options)
 
     def _run(self, mesh: Mesh, field: _Field, share: float, iterations: int, *, bulk: bool) -> Candidate:
         return self._result(self._remesher(mesh, field, share), iterations, bulk=bulk)

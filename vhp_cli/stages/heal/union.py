@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from vhp_cli import engines
 from vhp_cli.kernels.surface import quality, topology
 from vhp_cli.measures import Action
 from vhp_cli.mesh import Mesh
 from vhp_cli.stages.heal.candidate import as_written
-from vhp_cli.stages.heal.clean import clean
+from vhp_cli.stages.heal.clean import clean, remove_plugs
 from vhp_cli.stages.heal.crossings import untangle
 from vhp_cli.stages.heal.manifold import make_manifold
 from vhp_cli.stages.heal.orientation import orient
 from vhp_cli.stages.heal.quality import remove_flat
 from vhp_cli.stages.heal.separation import separate
+
+# Parts thinner than this, in mm, are left over from the cutting: the gap that separates them is as wide.
+_THINNEST = 0.02
 
 
 def unite(
@@ -51,7 +56,8 @@ def unite(
         }
     ]
     united = as_written(united)
-    for step in (clean, make_manifold, orient, separate, remove_flat, untangle, orient):
+    plugs = partial(remove_plugs, thickness=_THINNEST)
+    for step in (clean, make_manifold, orient, plugs, separate, remove_flat, untangle, orient):
         united, done = step(united)
         actions += done
     return united, actions
