@@ -34,7 +34,7 @@ $(VENV)/.dev: $(VENV)/.test
 	$(PIP) install -e '.[test,dev]'
 	@touch $@
 
-demo: $(VENV)/.package ## make two small models, one sound and one with defects, check both, and heal the second
+demo: $(VENV)/.package system-libraries ## make two small models, one sound and one with defects, check both, and heal the second
 	@rm -rf $(DEMO)
 	$(BIN)/vhp phantom $(DEMO)/phantom
 	$(BIN)/vhp check $(DEMO)/phantom --report $(DEMO)/phantom.json

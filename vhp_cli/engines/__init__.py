@@ -79,7 +79,6 @@ ENGINES: Mapping[Name, Engine] = MappingProxyType(
             "manifold3d",
             "manifold3d",
             "Apache-2.0",
-            optional=True,
         ),
         "meshfix": Engine(
             "vhp_cli.engines.meshfix:repair",

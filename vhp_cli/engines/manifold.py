@@ -1,4 +1,4 @@
-"""Manifold, by manifold3d: an optional engine that unites components. Runs in a child process only."""
+"""Manifold, by manifold3d: an engine that unites components. Runs in a child process only."""
 
 from __future__ import annotations
 

@@ -34,6 +34,8 @@ Step = Callable[[Mesh], tuple[Mesh, Actions]]
 
 # Separating, rounding and welding can bring new flaws, which the next round treats.
 _MOST_ROUNDS = 3
+# Share of the diagonal by which a cut and its filling may differ if nothing gentler gives a sound solid.
+DEEP_CUT = 0.05
 # A repair that leaves more than this share of the input's surface outside is none.
 MOST_LOST = 0.1
 
@@ -115,6 +117,8 @@ def _repair(mesh: Mesh, options: HealOptions) -> _Repaired:
     united = search.run("union", partial(unite, timeout_s=timeout, memory_gb=memory), untangled)
     search.run("cutting after the union", cut_and_fill, united)
     search.run("union of either sign", partial(unite, either_sign=True, timeout_s=timeout, memory_gb=memory), untangled)
+    if search.best is None:
+        search.run("deep cutting", partial(cut_and_fill, reach_mm=DEEP_CUT * diagonal(mesh)), untangled)
     for name, rebuild in (("refilling", refill), ("wrapping", wrap), ("envelope", envelope)):
         # They replace the whole surface, and may close a lumen: not to win back a part that was lost.
         if search.best is None:

@@ -8,6 +8,7 @@ from vhp_cli import engines
 from vhp_cli.kernels.surface import quality, topology
 from vhp_cli.measures import Action
 from vhp_cli.mesh import Mesh
+from vhp_cli.processes import CallFailed
 from vhp_cli.stages.heal.candidate import as_written
 from vhp_cli.stages.heal.clean import clean, remove_plugs
 from vhp_cli.stages.heal.crossings import untangle
@@ -43,7 +44,16 @@ def unite(
     CallFailed
         If the engine came to no result.
     """
-    united = engines.call("union", mesh, timeout_s=timeout_s, memory_gb=memory_gb, either_sign=either_sign)
+    try:
+        united = engines.call("union", mesh, timeout_s=timeout_s, memory_gb=memory_gb, either_sign=either_sign)
+    except CallFailed as failed:
+        if either_sign:
+            raise
+        # It can unite components only, but has a permissive licence and needs no system library.
+        try:
+            united = engines.call("component-union", mesh, timeout_s=timeout_s, memory_gb=memory_gb)
+        except CallFailed:
+            raise failed from None
     before, after = _volume(mesh), _volume(united)
     actions: list[Action] = [
         {
