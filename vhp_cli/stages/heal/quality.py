@@ -19,6 +19,7 @@ from vhp_cli.stages.heal.sizing import Limits, propose_limits, sizes_around, siz
 # The quality phase works on triangles below this q, so that what it leaves lies well above the target.
 _WORK_BELOW = 0.45
 MEAN_QUALITY = 0.85
+_BAD = 0.2
 # Faces with a q below this have next to no area; they may be removed if that moves the surface by less than this share
 # of the diagonal.
 _FLAT = 1e-5
@@ -29,7 +30,7 @@ _RESCUE_SHARES = (0.65, 0.8)
 # Shares of the deviation for refining around what is still bad; added to those before, they stay below 1.
 _LOCAL_SHARES = (0.15, 0.2)
 # ... and no edge is asked for that is shorter than this many of the shortest that is allowed.
-_LEAST_EDGES = 4
+_LEAST_EDGES = 2
 # Where the guards promised too much, the remesher runs again with this part of the deviation.
 _CAREFUL = 0.6
 # A second attempt has edges shorter by this factor: what is curved or thin then has room for good triangles.
@@ -273,9 +274,9 @@ class _Attempts:
         )
 
 
-# In this order: few enough triangles; edges as long as asked; min q, shortest edge and mean q as wanted; and how far
-# they go beyond.
-_Rank = tuple[bool, bool, bool, bool, bool, float, float]
+# In this order: few enough triangles; edges as long as asked; no edge too short; no triangle really bad; min q and mean
+# q as wanted; and how far they go beyond.
+_Rank = tuple[bool, bool, bool, bool, bool, bool, float, float]
 
 
 def _rank(candidate: Candidate, options: HealOptions) -> _Rank:
@@ -284,8 +285,9 @@ def _rank(candidate: Candidate, options: HealOptions) -> _Rank:
     return (
         options.max_triangles is None or candidate.measures["triangles"] <= options.max_triangles,
         wanted is None or (edge is not None and abs(np.log(edge["mean"] / wanted)) < _NEAR_LENGTH),
-        candidate.min_quality >= options.target_quality,
         candidate.min_edge >= options.min_edge_mm,
+        candidate.min_quality >= min(_BAD, options.target_quality),
+        candidate.min_quality >= options.target_quality,
         candidate.mean_quality >= MEAN_QUALITY,
         min(candidate.min_quality, _WORK_BELOW),
         candidate.mean_quality,
@@ -293,4 +295,4 @@ def _rank(candidate: Candidate, options: HealOptions) -> _Rank:
 
 
 def _suffices(rank: _Rank) -> bool:
-    return all(rank[:5])
+    return all(rank[:6])
