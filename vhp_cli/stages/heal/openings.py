@@ -20,11 +20,14 @@ CAP_SHARE = 0.1
 # A border counts as cut in a plane if its root mean square distance from one is below this share of its length, ...
 PLANE_CUT = 0.045
 # ... and as jagged, all the same, above this share if it also zigzags: its turns add up to so many full circles.
-NEAR_PLANE = 0.005
+NEAR_PLANE = 0.015
 ZIGZAG = 2.5
 # Even plane caps make no solid of a sheet: it lies nearly in their plane, or they are larger than all of it. Volume
 # over (area of caps)^1.5; half a ball has 0.38, a bowl of a tenth of its radius 0.03.
 FLAT_BOWL = 0.02
+# Isoperimetric quotient, 36 pi volume^2 / area^3: 1 for a ball, 0.6 for half of one, 0.3 for a tube of five diameters
+# length. A wrinkled sheet with a border that happens to lie in a plane has next to none.
+LEAST_ROUNDNESS = 0.08
 # An open shard beside a solid is taken out if it has less than this share of the area; a larger one is a patch.
 SHARD_SHARE = 0.02
 
@@ -66,9 +69,9 @@ class Part:
             return ""
         if self.jagged_mm2 > CAP_SHARE * whole:
             return f"an open patch: closing its jagged border would invent {100 * self.jagged_mm2 / whole:.0f} % of it"
-        if self.cap_mm2 > CAP_SHARE * whole and (
-            abs(self.volume_mm3) < FLAT_BOWL * self.cap_mm2**1.5 or self.cap_mm2 > self.area_mm2
-        ):
+        flat = abs(self.volume_mm3) < FLAT_BOWL * self.cap_mm2**1.5
+        wrinkled = 36 * np.pi * self.volume_mm3**2 < LEAST_ROUNDNESS * whole**3
+        if self.cap_mm2 > CAP_SHARE * whole and (flat or wrinkled or self.cap_mm2 > self.area_mm2):
             return "an open sheet: closed, it would enclose next to nothing but what was invented"
         return ""
 
