@@ -134,11 +134,7 @@ def deviation_limit(mesh: Mesh) -> float:
 
 def new_flaws(given: Candidate, made: Candidate) -> list[str]:
     """Return the kinds of flaws that the output has and the input has not."""
-    found = [
-        flaw
-        for flaw in FLAWS
-        if made.measures["topology"][flaw] and not given.measures["topology"][flaw]  # type: ignore[literal-required]
-    ]
+    found = [flaw for flaw in FLAWS if made.measures["topology"][flaw] and not given.measures["topology"][flaw]]
     if made.measures["self_intersections"]["pairs"] and not given.measures["self_intersections"]["pairs"]:
         found.append("self_intersections")
     return found

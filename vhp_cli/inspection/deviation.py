@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from vhp_cli.inspection.places import MAX_PLACES, point
 from vhp_cli.kernels.measuring import closest
+from vhp_cli.kernels.reading import weld
 from vhp_cli.kernels.spatial import Tree
 from vhp_cli.kernels.surface import topology
 from vhp_cli.measures import Deviation, Distance, Place, Point
@@ -98,12 +99,13 @@ def deviation(before: Mesh, after: Mesh, *, lost_limit_mm: float) -> Deviation:
     """
     _require_faces(before, after)
     before_tree, after_tree = (Tree(mesh.vertices, mesh.faces) for mesh in (before, after))
+    kept_before, kept_after = _common_faces(before, after)
     samples = _sample(before)
-    distances = closest(after_tree, samples.points).distances
+    distances = _distances(samples, after_tree, kept_before)
     to_output = _distance(samples, distances)
     parts = _lost_parts(before, samples, distances, lost_limit_mm, after_tree)
     back = _sample(after)
-    to_input = _distance(back, closest(before_tree, back.points).distances)
+    to_input = _distance(back, _distances(back, before_tree, kept_after))
     places: list[Place] = [
         {"xyz_mm": part.xyz_mm, "face": part.face, "value": part.distance_mm} for part in parts[:MAX_PLACES]
     ]
@@ -139,7 +141,32 @@ def lost_parts(before: Mesh, after: Mesh, *, limit_mm: float) -> list[LostPart]:
     _require_faces(before, after)
     tree = Tree(after.vertices, after.faces)
     samples = _sample(before)
-    return _lost_parts(before, samples, closest(tree, samples.points).distances, limit_mm, tree)
+    distances = _distances(samples, tree, _common_faces(before, after)[0])
+    return _lost_parts(before, samples, distances, limit_mm, tree)
+
+
+def _common_faces(first: Mesh, second: Mesh) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Tell which faces of either mesh the other has too, by the coordinates of their corners."""
+    _, index = weld(np.concatenate([first.vertices, second.vertices]))
+    second_faces = index[len(first.vertices) :][second.faces]
+    corners = np.sort(np.concatenate([index[: len(first.vertices)][first.faces], second_faces]), axis=1).astype(
+        np.int64
+    )
+    order = np.lexsort(corners.T)
+    fresh = np.ones(len(order), np.bool_)
+    fresh[1:] = (corners[order[1:]] != corners[order[:-1]]).any(axis=1)
+    face = np.empty(len(order), np.int64)
+    face[order] = np.cumsum(fresh)
+    own, other = face[: len(first.faces)], face[len(first.faces) :]
+    return np.isin(own, other), np.isin(other, own)
+
+
+def _distances(samples: _Samples, tree: Tree, kept: NDArray[np.bool_]) -> Floats:
+    """Return the distance of each sample from a surface that has the kept faces too."""
+    distances = np.zeros(len(samples.points))
+    moved = ~kept[samples.faces]
+    distances[moved] = closest(tree, samples.points[moved]).distances
+    return distances
 
 
 def _require_faces(*meshes: Mesh) -> None:
