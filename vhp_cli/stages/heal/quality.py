@@ -83,10 +83,10 @@ def improve(solid: Candidate, given: Mesh, options: HealOptions) -> tuple[Candid
         if attempts.done:
             break
         attempts.remesh(factor)
-    for share in _LOCAL_SHARES:
-        if not attempts.bad_faces:
-            break
-        attempts.refine(share)
+        for share in _LOCAL_SHARES:
+            if not attempts.bad_faces:
+                break
+            attempts.refine(share)
     return attempts.best, attempts.actions()
 
 
