@@ -24,7 +24,7 @@ FAILED = 3
 INTERRUPTED = 130
 PIPE_CLOSED = 141
 
-VERSIONED = ("numpy", "click", "rich", "trimesh", "pymeshlab", "pytetwild")
+VERSIONED = ("numpy", "click", "rich", "trimesh", "manifold3d", "pymeshlab", "pytetwild")
 
 
 class Entry(NamedTuple):
