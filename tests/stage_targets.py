@@ -22,6 +22,7 @@ NONE: Deviation = {
     "to_output": {"max": 0.0, "mean": 0.0, "xyz_mm": None},
     "to_input": {"max": 0.0, "mean": 0.0, "xyz_mm": None},
     "lost_area_mm2": 0.0,
+    "lost_outside_mm2": 0.0,
     "lost_limit_mm": 0.1,
     "lost_places": [],
 }

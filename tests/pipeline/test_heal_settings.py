@@ -29,7 +29,7 @@ def test_flags_and_settings_reach_the_stage(stage, model, out, tmp_path):
     _, report = run(model, "-o", out, "--target-q", "0.25", "--max-triangles", "5000", "--only-topology")
     assert report["settings"]["heal"] == {
         "max-deviation": 0.05, "target-q": 0.25, "min-edge": 0.01, "edge-length": None, "max-triangles": 5000,
-        "cap-openings": True, "min-component": None, "only-topology": True, "thicken": 1.0, "engine-timeout": 60.0,
+        "cap-openings": True, "min-component": None, "only-topology": True, "thicken": 1.0, "engine-timeout": 30.0,
         "engine-memory": 4.0,
     }  # fmt: skip
     assert report["settings"]["tissue"][0]["heal"] == {"max-deviation": 0.01, "cap-openings": False}

@@ -42,8 +42,10 @@ _LARGEST_CORE = 3000
 _LARGEST_SHARE = 0.3
 _SMALL_CORE = 500
 _MOST_MERGES = 5
-# Pairs of faces that meet over all faces, beyond which the surface is one tangle: moving vertices leads nowhere.
+# Pairs of faces that meet over all faces, beyond which a surface of some size is one tangle: moving vertices takes long
+# and leads nowhere.
 _MOST_TANGLED = 0.5
+_FEW_PAIRS = 500
 _CUT_RINGS = (0, 1, 2)
 _MOST_CUTS = 50
 
@@ -74,7 +76,7 @@ def untangle(mesh: Mesh, reach_mm: float | None = None, gap_mm: float = 0.01) ->
     mesh, actions
         The places of an action are one for each zone; `value` is the way of its farthest vertex.
     """
-    if Tree(mesh.vertices, mesh.faces).self_hits(0).n_pairs > _MOST_TANGLED * len(mesh.faces):
+    if Tree(mesh.vertices, mesh.faces).self_hits(0).n_pairs > max(_FEW_PAIRS, _MOST_TANGLED * len(mesh.faces)):
         return mesh, []
     reach = default_reach(mesh) if reach_mm is None else reach_mm
     # What is apart in float64 has to be apart in the file too.
