@@ -36,9 +36,11 @@ class Entry(NamedTuple):
 
 COMMANDS = {
     "check": Entry("vhp_cli.commands.check:check", "Check a model; exit 1 if it is not fit for a solver."),
+    "decimate": Entry("vhp_cli.commands.decimate:decimate", "Reduce the number of triangles of a model."),
     "heal": Entry("vhp_cli.commands.heal:heal", "Close, orient and repair the tissues of a model."),
     "phantom": Entry("vhp_cli.commands.phantom:phantom", "Write a synthetic model, sound or with known defects."),
     "rules": Entry("vhp_cli.commands.rules:rules", "List the rules, or explain one."),
+    "smooth": Entry("vhp_cli.commands.smooth:smooth", "Improve the triangles of a model and keep its shape."),
 }
 
 

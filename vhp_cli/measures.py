@@ -158,6 +158,20 @@ class Deviation(TypedDict):
     lost_places: list[Place]  # the farthest place of each part that was lost; `value` is its distance
 
 
+class SmoothingStep(TypedDict):
+    """A surface after an iteration of smoothing; the first is the input."""
+
+    iteration: int
+    step: str  # "input", "relax", "round off", "volume", or the method
+    min_q: float
+    mean_q: float
+    volume_mm3: float
+    max_turn_deg: float | None  # the largest angle by which the surface turns at an edge; None: not measured
+    flips: int
+    moves: int  # of vertices
+    held: int  # vertices that guards kept from going all the way
+
+
 class Before(TissueMeasures):
     """The input of a stage, measured as its output is."""
 
@@ -193,6 +207,7 @@ class TissueRecord(TissueMeasures):
     volume_change: NotRequired[float | None]  # of the input's volume; None where that one is not defined
     actions: NotRequired[list[Action]]
     introduced: NotRequired[list[Introduced]]
+    history: NotRequired[list[SmoothingStep]]  # of a stage with iterations
     before: NotRequired[Before]
 
 

@@ -304,6 +304,11 @@ int vhp_relocate(Guarded *g, int32_t vertex, const double *position, int32_t nea
  * worst q rises. */
 int vhp_collapse(Guarded *g, int32_t corner, int32_t kept, const double *position, int32_t near, double least_quality,
                  double longest);
+/* A collapse in two steps, for other goals and guards: the patch, with the number of faces about the end that goes, or -1
+ * where the surface would not stay manifold; and what changes the mesh. */
+int vhp_plan_collapse(const Guarded *g, int32_t corner, int32_t kept, Patch *patch, int32_t *gone_ring);
+void vhp_do_collapse(Guarded *g, int32_t corner, int32_t kept, const int32_t *gone_ring, int32_t n_gone,
+                     const Patch *patch);
 enum { FLIP_QUALITY, FLIP_BALANCE };
 int vhp_flip(Guarded *g, int32_t corner, int goal);
 int vhp_flip_onto(Guarded *g, int32_t corner, const double *position, int32_t near);

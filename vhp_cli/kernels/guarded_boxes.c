@@ -142,6 +142,8 @@ static void refit_above(Guarded *g, int32_t node)
 
 void vhp_boxes_refit(Guarded *g, int32_t face)
 {
+    if (g->root < 0)
+        return; /* there is no tree */
     BoxNode *leaf = &g->nodes[g->leaf[face]];
     vhp_face_box(g, g->faces + 3 * (int64_t)face, leaf->box);
     refit_above(g, leaf->parent);
@@ -184,6 +186,8 @@ static void free_node(Guarded *g, int32_t node)
 
 void vhp_boxes_remove(Guarded *g, int32_t face)
 {
+    if (g->root < 0)
+        return;
     const int32_t leaf = g->leaf[face], parent = g->nodes[leaf].parent;
     g->changes++;
     if (parent < 0) {

@@ -107,6 +107,27 @@ static int has_longer_edge(const Guarded *g, const Patch *patch, double longest)
     return 0;
 }
 
+int vhp_plan_collapse(const Guarded *g, int32_t corner, int32_t kept, Patch *patch, int32_t *gone_ring)
+{
+    int32_t kept_ring[MAX_RING];
+    const int32_t from = g->faces[next_corner(corner)], gone = from == kept ? g->faces[previous_corner(corner)] : from;
+    if (!may_collapse(g, corner, kept, gone))
+        return -1;
+    const int32_t n_kept = vhp_ring(g, kept, kept_ring), n_gone = vhp_ring(g, gone, gone_ring);
+    if (n_kept < 0 || n_gone < 0 || common_neighbours(g, gone_ring, n_gone, kept) != 2)
+        return -1;
+    build_patch(g, corner, kept, gone, kept_ring, n_kept, gone_ring, n_gone, patch);
+    return n_gone;
+}
+
+void vhp_do_collapse(Guarded *g, int32_t corner, int32_t kept, const int32_t *gone_ring, int32_t n_gone,
+                     const Patch *patch)
+{
+    const int32_t from = g->faces[next_corner(corner)], gone = from == kept ? g->faces[previous_corner(corner)] : from;
+    do_collapse(g, corner, kept, gone, gone_ring, n_gone, patch);
+    g->counts[DONE_COLLAPSE]++;
+}
+
 /* Merge the edge opposite to a corner into its end `kept`, which goes to a position. `longest`: no edge that moves
  * may get longer than so many wanted lengths. */
 int vhp_collapse(Guarded *g, int32_t corner, int32_t kept, const double *position, int32_t near, double least_quality,

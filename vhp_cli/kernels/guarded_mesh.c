@@ -14,11 +14,25 @@ typedef struct {
 static int compare_half_edges(const void *first, const void *second)
 {
     const HalfEdge *a = first, *b = second;
-    if (a->low != b->low)
-        return a->low < b->low ? -1 : 1;
     if (a->high != b->high)
         return a->high < b->high ? -1 : 1;
     return a->corner < b->corner ? -1 : a->corner > b->corner;
+}
+
+/* Sort half edges with the same lower vertex by the higher one, then by corner: few by insertion. */
+static void sort_half_edges(HalfEdge *edges, int64_t count)
+{
+    if (count > 32) {
+        qsort(edges, (size_t)count, sizeof *edges, compare_half_edges);
+        return;
+    }
+    for (int64_t i = 1; i < count; i++) {
+        const HalfEdge edge = edges[i];
+        int64_t at = i;
+        for (; at > 0 && compare_half_edges(&edges[at - 1], &edge) > 0; at--)
+            edges[at] = edges[at - 1];
+        edges[at] = edge;
+    }
 }
 
 /* Resize an array that has `*array` as its address; 0 if memory runs out. */
@@ -162,15 +176,27 @@ static int join_faces(Guarded *g)
 {
     const int64_t n = 3 * g->n_faces;
     HalfEdge *edges = malloc((size_t)n * sizeof *edges + 1);
-    if (!edges)
+    int64_t *begin = calloc((size_t)g->n_vertices + 2, sizeof *begin); /* of the edges of each lower vertex, then end */
+    if (!edges || !begin) {
+        free(edges);
+        free(begin);
         return 0;
+    }
+    for (int32_t c = 0; c < n; c++) {
+        const int32_t from = g->faces[next_corner(c)], to = g->faces[previous_corner(c)];
+        begin[(from < to ? from : to) + 2]++;
+        g->across[c] = -1;
+    }
+    for (int64_t v = 0; v < g->n_vertices; v++)
+        begin[v + 2] += begin[v + 1];
     for (int32_t c = 0; c < n; c++) {
         const int32_t from = g->faces[next_corner(c)], to = g->faces[previous_corner(c)];
         const HalfEdge edge = {from < to ? from : to, from < to ? to : from, c, from < to};
-        edges[c] = edge;
-        g->across[c] = -1;
+        edges[begin[edge.low + 1]++] = edge;
     }
-    qsort(edges, (size_t)n, sizeof *edges, compare_half_edges);
+    for (int64_t v = 0; v < g->n_vertices; v++)
+        sort_half_edges(edges + begin[v], begin[v + 1] - begin[v]);
+    free(begin);
     for (int64_t i = 0, end; i < n; i = end) {
         for (end = i + 1; end < n && edges[end].low == edges[i].low && edges[end].high == edges[i].high;)
             end++;
@@ -318,7 +344,7 @@ static int fill(Guarded *g, const double *vertices, int64_t n_vertices, const in
             double nearest[3];
             g->near[v] = vhp_nearest_reference(g, place(g, (int32_t)v), g->settings.deviation, NULL, 0, -1, nearest);
         }
-    if (!vhp_boxes_build(g) || !vhp_assign_samples(g))
+    if (n_samples && (!vhp_boxes_build(g) || !vhp_assign_samples(g))) /* else the tree is built when it is needed */
         return 0;
     vhp_component_volumes(g, g->wanted_volume, NULL);
     return 1;

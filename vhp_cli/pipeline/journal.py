@@ -12,7 +12,7 @@ import json
 import os
 import threading
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ import numpy as np
 from vhp_cli import __version__
 from vhp_cli.engines import ENGINES
 from vhp_cli.formats.atomic import refused, write_atomically
-from vhp_cli.measures import Action, Deviation
+from vhp_cli.measures import Action, Deviation, Introduced, SmoothingStep
 from vhp_cli.stages.outcome import Status
 
 JOURNAL = ".vhp-run.jsonl"
@@ -44,6 +44,8 @@ class Entry:
         How long that took.
     level
         How much more gently than asked it was treated, so that it meets no neighbour.
+    history, introduced
+        As of `pipeline.task.Result`.
     """
 
     file: str
@@ -55,6 +57,8 @@ class Entry:
     deviation: Deviation | None
     seconds: float
     level: int = 0
+    history: list[SmoothingStep] = field(default_factory=list)
+    introduced: list[Introduced] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,7 @@ from vhp_cli.processes import CallFailed, Child, stop_all
 
 _WORK = "vhp_cli.pipeline.task:process"
 _NOTE = "moved less far than asked, as it would have come too near to a neighbour"
+_GIVEN_UP = "it would come too near to a neighbour"
 _REASONS = {"timeout": "time limit", "memory": "memory limit", "crash": "crash", "error": "internal error"}
 
 
@@ -44,6 +45,10 @@ class Stage:
         The options in full, as the report stores them.
     most_gentle
         How many more attempts to make at a tissue that meets a neighbour, each more gently (`Task.level`).
+    gives_up
+        The last of these attempts is to leave the tissue as it is.
+    never_worse
+        Whether a result that is worse than the input is thrown away (`Task.never_worse`).
     """
 
     command: str
@@ -51,6 +56,8 @@ class Stage:
     options: Callable[[str], object]
     described: Mapping[str, object]
     most_gentle: int = 0
+    gives_up: bool = False
+    never_worse: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,11 +300,15 @@ class _Runner:
                 result.deviation,
                 round(time.perf_counter() - started, 3),
                 level,
+                result.history,
+                result.introduced,
             )
         )
 
     def _processed(self, source: TissueFile, level: int) -> Result:
         """Return the gentlest result that changes something, else that of the options as they are."""
+        if self._stage.gives_up and level == self._stage.most_gentle > 0:
+            return Result("refused", _GIVEN_UP)
         while level:
             result = self._attempt(source, level)
             if result.status == "changed":
@@ -313,6 +324,7 @@ class _Runner:
             self._stage.options(source.name),
             self._settings,
             level,
+            self._stage.never_worse,
         )
         child = self._children.get()
         try:

@@ -40,7 +40,7 @@ def stage_report(
             # A check that failed has none.
             if record["sha256"] not in ("", sha256):
                 raise VhpError(f"{record['file']} was changed during the run", hint="run the command again")
-        tissues.append(_record(old, new, entry, introduced.get(new["name"], [])))
+        tissues.append(_record(old, new, entry, [*entry.introduced, *introduced.get(new["name"], [])]))
     statuses = [entry.status for entry in entries]
     return {
         **after,
@@ -65,7 +65,7 @@ def _record(old: TissueRecord, new: TissueRecord, entry: Entry, introduced: list
         "findings": old["findings"],
     }
     unchanged = entry.status != "changed" and bool(entry.output)
-    return {
+    record: TissueRecord = {
         **new,
         "status": entry.status,
         "reason": entry.reason,
@@ -75,6 +75,9 @@ def _record(old: TissueRecord, new: TissueRecord, entry: Entry, introduced: list
         "introduced": introduced,
         "before": input_record,
     }
+    if entry.history:
+        record["history"] = entry.history
+    return record
 
 
 def _no_deviation() -> Deviation:

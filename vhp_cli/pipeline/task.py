@@ -12,7 +12,7 @@ from vhp_cli import formats
 from vhp_cli.config import UNITS, Settings
 from vhp_cli.errors import UnreadableFileError
 from vhp_cli.formats.reading import Reading
-from vhp_cli.measures import Action, Deviation, Distance
+from vhp_cli.measures import Action, Deviation, Distance, Introduced, SmoothingStep
 from vhp_cli.mesh import Mesh
 from vhp_cli.model import TissueFile
 from vhp_cli.pipeline.measuring import issues_of, measure, parse_in_mm, scaled, shape_limits, unreadable
@@ -39,6 +39,8 @@ class Task:
         How files are read and judged.
     level
         How much more gently to go about it than `options` say, by their method ``gentler``.
+    never_worse
+        Whether a result that is worse than the input is thrown away; else what is worse is told.
     """
 
     source: TissueFile
@@ -46,6 +48,7 @@ class Task:
     options: object
     settings: Settings
     level: int = 0
+    never_worse: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +57,10 @@ class Result:
 
     Parameters
     ----------
-    status, reason, actions, deviation
+    status, reason, actions, deviation, history
         As of `Outcome`.
+    introduced
+        What is worse than in the input, where that is allowed.
     sha256
         Of the bytes that were read; empty if they could not be.
     data
@@ -68,6 +73,8 @@ class Result:
     deviation: Deviation | None = None
     sha256: str = ""
     data: bytes | None = None
+    history: list[SmoothingStep] = field(default_factory=list)
+    introduced: list[Introduced] = field(default_factory=list)
 
 
 def process(task: Task) -> Result:
@@ -117,7 +124,7 @@ def _accepted(task: Task, reading: Reading, before: Measured, data: bytes, outco
     elif outcome.status == "changed":
         return Result("failed", "the stage reported a change and gave no surface")
     else:
-        return Result(outcome.status, outcome.reason, actions)
+        return Result(outcome.status, outcome.reason, actions, history=outcome.history)
     notes: list[Action] = [
         {"step": "write", "message": f"{issue.rule}: {issue.detail}", "count": issue.count, "places": []}
         for issue in mended
@@ -125,11 +132,14 @@ def _accepted(task: Task, reading: Reading, before: Measured, data: bytes, outco
     path = task.source.path
     written = formats.mesh_bytes(path, _in_file_units(mesh, task.settings))
     if written == data:
-        return Result("unchanged")
+        return Result("unchanged", history=outcome.history)
     after = _measured(parse_in_mm(path, written, task.settings), task)
-    if worse := regressions(task.source.name, before, after, task.settings):
+    worse = regressions(task.source.name, before, after, task.settings)
+    if worse and task.never_worse:
         return Result("failed", f"the result was worse than the input: {', '.join(one['message'] for one in worse)}")
-    return Result("changed", outcome.reason, notes + actions, deviation, data=written)
+    return Result(
+        "changed", outcome.reason, notes + actions, deviation, data=written, history=outcome.history, introduced=worse
+    )
 
 
 def _measured(reading: Reading, task: Task) -> Measured:

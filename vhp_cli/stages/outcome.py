@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from vhp_cli.measures import Action, Deviation
+from vhp_cli.measures import Action, Deviation, SmoothingStep
 from vhp_cli.mesh import Mesh
 
 Status = Literal["changed", "unchanged", "refused", "failed"]
@@ -28,6 +28,8 @@ class Outcome:
         What was done, in order.
     deviation
         How far input and output lie apart; None if nothing was changed.
+    history
+        What the surface was like after each iteration, for a stage that has some.
     """
 
     mesh: Mesh | None
@@ -35,3 +37,4 @@ class Outcome:
     reason: str = ""
     actions: list[Action] = field(default_factory=list)
     deviation: Deviation | None = None
+    history: list[SmoothingStep] = field(default_factory=list)
