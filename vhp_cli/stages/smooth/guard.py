@@ -41,6 +41,8 @@ _LISTED_CONTACTS = 4096
 # Rounds of offsets, and the share of the tolerance that is left alone.
 _VOLUME_ROUNDS = 6
 _VOLUME_LEFT = 0.1
+# An offset is taken to gain at least this part of the area times its length.
+_LEAST_GAIN = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,19 +205,22 @@ class Guard:
             Share of the volume; the aim is a fraction of it.
         """
         wanted = self._wanted
+        component = np.zeros(len(mesh.vertices), dtype=np.int64)
+        component[mesh.faces.ravel()] = np.repeat(wanted.component, 3)
+        # What an offset gains in volume by its length: the area, or less where vertices are held.
+        gain = areas = np.maximum(wanted.areas, np.finfo(np.float64).tiny)
+        most = 0.5 * self.limits.deviation_mm
         for _ in range(_VOLUME_ROUNDS):
             error = self.volume_error(mesh)
             if error <= _VOLUME_LEFT * tolerance:
                 break
-            missing = np.where(wanted.closed, wanted.volumes - volumes_of(mesh).volumes, 0.0)
-            most = 0.5 * self.limits.deviation_mm
-            step = np.clip(missing / np.maximum(wanted.areas, 1e-300), -most, most)
-            component = np.zeros(len(mesh.vertices), dtype=np.int64)
-            component[mesh.faces.ravel()] = np.repeat(wanted.component, 3)
-            targets = mesh.vertices + step[component][:, None] * _vertex_normals(mesh)
-            offset = self.settle(mesh, targets).mesh
+            volumes = volumes_of(mesh).volumes
+            step = np.where(wanted.closed, np.clip((wanted.volumes - volumes) / gain, -most, most), 0.0)
+            offset = self.settle(mesh, mesh.vertices + step[component][:, None] * _vertex_normals(mesh)).mesh
             if not self.volume_error(offset) < error:
                 break
+            gained = np.divide(volumes_of(offset).volumes - volumes, step, out=gain.copy(), where=step != 0)
+            gain = np.maximum(gained, _LEAST_GAIN * areas)
             mesh = offset
         return mesh
 

@@ -12,6 +12,8 @@ from vhp_cli.stages.smooth.relaxing import remesher_of
 
 # Parts of an iteration to try, until one keeps the volume.
 _PARTS = (1.0, 0.5, 0.25, 0.1)
+# Share of the volume's tolerance that is left alone.
+_VOLUME_LEFT = 0.5
 
 
 def stepped(guard: Guard, smoothing: Smoothing, tolerance: float, *, flips: bool) -> Iterator[State]:
@@ -51,10 +53,11 @@ def _next_state(
                 remesher = remesher_of(moved, guard)
                 flipped = remesher.flip()
                 moved = Mesh(*remesher.result())
-            kept = guard.restore_volume(moved, tolerance)
-            if guard.volume_error(kept) > tolerance:
+            if guard.volume_error(moved) > _VOLUME_LEFT * tolerance:
+                moved = guard.restore_volume(moved, tolerance)
+            if guard.volume_error(moved) > tolerance:
                 continue
             if not settled.moved and not flipped:
                 return None
-            return measured(kept, smoothing.method, iteration, flips=flipped, moves=settled.moved, held=settled.held)
+            return measured(moved, smoothing.method, iteration, flips=flipped, moves=settled.moved, held=settled.held)
     return None
