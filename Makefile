@@ -66,11 +66,12 @@ types: $(VENV)/.dev ## types of the package
 	$(BIN)/mypy
 
 # The interpreter isn't instrumented: the runtime is loaded ahead of it, and its own leaks are left alone.
+# A finding ends the process, so what it says must not wait in pytest's capture.
 sanitize: $(VENV)/.test ## the kernel tests under the address and undefined-behaviour sanitizers (gcc)
 	CC=gcc $(BIN)/python vhp_cli/kernels/build.py --check --sanitize --output $(SANITIZED)
 	LD_PRELOAD="$$(gcc -print-file-name=libasan.so)" ASAN_OPTIONS=detect_leaks=0 \
 	  UBSAN_OPTIONS=print_stacktrace=1 PYTHONMALLOC=malloc VHP_KERNELS=$(SANITIZED) \
-	  $(BIN)/python -m pytest -p no:cacheprovider $(SANITIZE_TESTS) $(PYTEST_ARGS)
+	  $(BIN)/python -m pytest -p no:cacheprovider --capture=sys $(SANITIZE_TESTS) $(PYTEST_ARGS)
 
 coverage: $(VENV)/.dev ## line and branch coverage of the tests
 	$(BIN)/coverage run --branch --source=vhp_cli -m pytest --slow $(PYTEST_ARGS)

@@ -311,9 +311,12 @@ static int fill(Guarded *g, const double *vertices, int64_t n_vertices, const in
         return 0;
     g->n_vertices = n_vertices;
     g->n_faces = g->n_live_faces = n_faces;
-    memcpy(g->xyz, vertices, (size_t)n_vertices * 3 * sizeof *vertices);
-    memcpy(g->size, sizes, (size_t)n_vertices * sizeof *sizes);
-    memcpy(g->faces, faces, (size_t)n_faces * 3 * sizeof *faces);
+    if (n_vertices) { /* arrays of nothing may have no address */
+        memcpy(g->xyz, vertices, (size_t)n_vertices * 3 * sizeof *vertices);
+        memcpy(g->size, sizes, (size_t)n_vertices * sizeof *sizes);
+    }
+    if (n_faces)
+        memcpy(g->faces, faces, (size_t)n_faces * 3 * sizeof *faces);
     for (int64_t v = 0; v < n_vertices; v++) {
         g->corner[v] = g->near[v] = -1;
         g->valence[v] = g->touched[v] = 0;
@@ -338,7 +341,8 @@ static int fill(Guarded *g, const double *vertices, int64_t n_vertices, const in
     g->wanted_volume = malloc((size_t)g->n_components * sizeof *g->wanted_volume + 1);
     if (!g->sample || !g->next_sample || !g->sample_place || !g->loose || !g->wanted_volume)
         return 0;
-    memcpy(g->sample, samples, (size_t)n_samples * 3 * sizeof *samples);
+    if (n_samples)
+        memcpy(g->sample, samples, (size_t)n_samples * 3 * sizeof *samples);
     for (int64_t v = 0; v < n_vertices; v++)
         if (g->corner[v] >= 0) {
             double nearest[3];
