@@ -50,10 +50,10 @@ demo: $(VENV)/.package system-libraries ## make two small models, one sound and 
 	@echo 'Defects planted: $(DEMO)/broken/planted.json'
 
 test: $(VENV)/.test system-libraries ## run every test
-	$(BIN)/python -m pytest --slow $(PYTEST_ARGS)
+	$(BIN)/python -m pytest --slow -n auto --dist worksteal $(PYTEST_ARGS)
 
 test-fast: $(VENV)/.test system-libraries ## run the tests but for the slow ones
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n auto --dist worksteal $(PYTEST_ARGS)
 
 kernels: ## compile the C kernels in place (needs a C compiler, or ziglang)
 	$(PYTHON) vhp_cli/kernels/build.py

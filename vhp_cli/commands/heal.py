@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from vhp_cli.commands.common import (
-    ERRORS,
-    FAILED,
-    PASSED,
-    ProgressBar,
-    report_base,
-    report_target,
-    show_report,
-    write_reports,
-)
 from vhp_cli.commands.options import judging_options, model_options, report_options, stage_options, worker_options
+from vhp_cli.commands.staging import Shared, run_staged
 
 if TYPE_CHECKING:
     from vhp_cli.config import Settings
@@ -61,13 +50,7 @@ _LENGTH = click.FloatRange(min=0, min_open=True)
 @click.pass_context
 def heal(
     ctx: click.Context,
-    model: tuple[Path, ...],
-    recursive: bool,
-    units: str | None,
-    weld_tolerance: float | None,
-    output: Path,
-    overwrite: bool,
-    dry_run: bool,
+    /,
     max_deviation: float | None,
     target_q: float | None,
     edge_length: float | None,
@@ -76,20 +59,7 @@ def heal(
     min_component: float | None,
     only_topology: bool,
     thicken: float | None,
-    config: Path | None,
-    profile: str | None,
-    select: list[str],
-    ignore: list[str],
-    min_q: float | None,
-    min_edge: float | None,
-    gap: float | None,
-    gap_search: float | None,
-    reports: tuple[str, ...],
-    form: str | None,
-    jobs: int | None,
-    timeout: float,
-    memory: float,
-    cache: bool,
+    **shared: Any,
 ) -> None:
     """Heal a model: close holes, resolve self-intersections, turn faces outward, improve triangles.
 
@@ -101,29 +71,11 @@ def heal(
     Exit code: 0 the result passed, 1 errors remain, 2 wrong usage or nothing readable, 3 a tissue could not be
     processed.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-    from vhp_cli.config import load_settings
-    from vhp_cli.model import find_model
-    from vhp_cli.pipeline.stage import Limits, Stage, plan_stage
-
-    limits = {code: value for code, value in (("Q001", min_q), ("Q002", min_edge), ("P005", gap)) if value is not None}
-    settings = load_settings(
-        config=config,
-        model=model,
-        profile=profile,
-        select=select,
-        ignore=ignore,
-        limits=limits,
-        units=units,
-        weld_tolerance_mm=weld_tolerance,
-        gap_search_mm=gap_search,
-        recursive=recursive,
-    )
+    request = Shared(**shared)
     flags = {
         "max-deviation": max_deviation,
         "target-q": target_q,
-        "min-edge": min_edge,
+        "min-edge": request.min_edge,
         "edge-length": edge_length,
         "max-triangles": max_triangles,
         "cap-openings": cap_openings,
@@ -131,50 +83,12 @@ def heal(
         "only-topology": only_topology or None,
         "thicken": thicken,
     }
+    settings = request.settings()
     options, options_of = _options(settings, {key: value for key, value in flags.items() if value is not None})
-    stage = Stage("heal", TARGET, options_of, options.as_dict(), most_gentle=2)
-    targets = [report_target(report, form) for report in reports]
-    found = find_model(model, recursive=settings.recursive)
-    talk = ctx.obj or {}
-    if dry_run:
-        plan = plan_stage(found, output, stage, settings, paths=model, overwrite=overwrite)
-        for tissue, file in zip(found.tissues, plan.files, strict=True):
-            click.echo(f"{tissue.name}\t{'keep' if file in plan.done else 'heal'}\t{tissue.path}\t{output / file}")
-        return
-    if not talk.get("quiet"):
-        for pattern in settings.idle_patterns(tissue.name for tissue in found.tissues):
-            click.echo(f"note: no tissue matches {pattern!r} of the settings", err=True)
 
-    from vhp_cli.pipeline.cache import default_directory
-    from vhp_cli.pipeline.output import REPORT, foreign_meshes
-    from vhp_cli.pipeline.staged import run_and_check
+    from vhp_cli.pipeline.stage import Stage
 
-    with ProgressBar(quiet=talk.get("quiet", False)) as progress:
-        done = run_and_check(
-            found,
-            output,
-            stage,
-            settings,
-            paths=model,
-            jobs=jobs,
-            limits=Limits(timeout, memory),
-            overwrite=overwrite,
-            cache_directory=default_directory() if cache else None,
-            progress=progress,
-        )
-    _hand_on_config(config, model, output)
-    report = done.report
-    write_reports(report, [*targets, (output / REPORT, "json")], report_base((output,)))
-    to_stdout = next((target_form for path, target_form in targets if path is None), form)
-    show_report(report, to_stdout or "table", report_base((output,)), **talk)
-    if not talk.get("quiet"):
-        if done.reused:
-            click.echo(f"note: {done.reused} of {len(report['tissues'])} were taken from the run before", err=True)
-        if others := foreign_meshes(output, [tissue["file"] for tissue in report["tissues"]]):
-            click.echo(f"note: {output} holds other meshes, which this run left alone: {', '.join(others)}", err=True)
-    if done.failed:
-        ctx.exit(FAILED)
-    ctx.exit(PASSED if report["summary"]["passed"] else ERRORS)
+    run_staged(ctx, Stage("heal", TARGET, options_of, options.as_dict(), most_gentle=2), settings, request)
 
 
 def _options(settings: Settings, flags: Mapping[str, object]) -> tuple[HealOptions, Callable[[str], HealOptions]]:
@@ -204,12 +118,3 @@ def _options(settings: Settings, flags: Mapping[str, object]) -> tuple[HealOptio
         return mine
 
     return options, options_of
-
-
-def _hand_on_config(config: Path | None, model: tuple[Path, ...], output: Path) -> None:
-    """Copy the settings of the model, so that a check of the result judges by the same."""
-    if config is not None or len(model) != 1 or not (model[0] / "vhp.toml").is_file():
-        return
-    from vhp_cli.formats.atomic import write_atomically
-
-    write_atomically(output / "vhp.toml", (model[0] / "vhp.toml").read_bytes())
