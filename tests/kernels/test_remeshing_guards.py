@@ -79,10 +79,14 @@ def test_nothing_gets_worse(seed, size, log_deviation, share_frozen, share_missi
         sizes=size,
         deviation=10**log_deviation,
         min_edge=0.05 * size,
+        edge_floor=0.05 * size,
         frozen=frozen,
         max_triangles=4000,
     )
     remesher.run(3)
+    # (Offsets that restore the volume know no floor for edges.)
+    shortest = measure(*remesher.result())[0].edge_length_min
+    assert shortest >= min(0.05 * size, before.edge_length_min) * (1 - 1e-12)
     remesher.restore_volume()
     new_vertices, new_faces = remesher.result()
     after, quality_after = measure(new_vertices, new_faces)

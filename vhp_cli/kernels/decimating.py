@@ -166,13 +166,10 @@ def decimate(
 
 def _decimated(vertices: Float, faces: Int, wanted: _Decimation, max_deviation: float, max_work: int) -> Decimated:
     settings = _Settings(
-        min(max_deviation, _UNLIMITED),
-        0.0,
-        0.0,
-        0.0,
-        math.cos(math.radians(180 - _LEAST_FOLD_DEG)),
-        len(faces) + 2,
-        max_work,
+        deviation=min(max_deviation, _UNLIMITED),
+        fold_cosine=math.cos(math.radians(180 - _LEAST_FOLD_DEG)),
+        max_faces=len(faces) + 2,
+        max_work=max_work,
     )
     tree = Tree(vertices, faces) if math.isfinite(max_deviation) else None
     nothing = Tree(np.empty((0, 3)), np.empty((0, 3), np.int32))

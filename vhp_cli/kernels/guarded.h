@@ -58,6 +58,7 @@ typedef struct {
     double target_quality; /* the quality phase works on triangles below it */
     double floor;          /* no operation for other ends than quality may leave a worse triangle */
     double min_edge;       /* mm; shorter edges are collapsed where possible */
+    double edge_floor;     /* mm; no operation makes an edge shorter than this, unless one was */
     double fold_cosine;    /* of two normals at an edge: no new edge is folded more sharply */
     int64_t max_faces;
     int64_t max_work;      /* boxes and triangles looked at; no new operation begins beyond */
@@ -107,6 +108,7 @@ typedef struct {
     int32_t *across;      /* (F, 3) */
     double *normal;       /* (F, 3) of length 1, or 0 where there is none */
     double *quality;      /* (F) */
+    double *shortest;     /* (F) mm2, square of the shortest edge */
     uint8_t *degenerate;  /* (F) exactly zero area */
     int32_t *first_sample; /* (F) list of the samples that the face covers */
 
@@ -141,6 +143,7 @@ typedef struct {
     int32_t vertices[MAX_PATCH][3];  /* of the new faces */
     double normal[MAX_PATCH][3];
     double quality[MAX_PATCH];
+    double shortest[MAX_PATCH];
     int32_t n_edges;
     int32_t edges[MAX_PATCH][2];     /* edges that come into being or move */
 } Patch;
@@ -219,6 +222,14 @@ static inline double shape_of(const double *a, const double *b, const double *c,
     return divisor > 0 ? 4 * square / divisor : 0;
 }
 
+/* Square of the shortest edge of a triangle. */
+static inline double shortest_of(const double *a, const double *b, const double *c)
+{
+    const double ab = squared_distance(a, b), bc = squared_distance(b, c), ca = squared_distance(c, a);
+    const double least = ab < bc ? ab : bc;
+    return least < ca ? least : ca;
+}
+
 /* guarded_mesh.c */
 int vhp_guarded_reserve(Guarded *g, int64_t vertices, int64_t faces);
 /* Corners at a vertex, counter-clockwise; their number, or -1 if there are more than MAX_RING. */
@@ -292,6 +303,8 @@ int vhp_take_back(Guarded *g, const Trial *trial, int guard);
 /* 1 if no face turns over, and each has an area for certain. */
 int vhp_keeps_sides(const Guarded *g, const Patch *patch);
 /* The guard that refuses a patch that has been measured, or -1. `moved`: the vertex that has moved, or -1. */
+/* 1 unless an edge is shorter than the floor and than all edges were. */
+int vhp_keeps_edges(const Guarded *g, const Patch *patch);
 int vhp_refusing_guard(Guarded *g, const Patch *patch, int32_t moved, int thorough);
 /* Note that a patch is done: shape and samples of the new faces `numbers`, time of change of their vertices, and the
  * boxes of the first `n_boxes` of them. */

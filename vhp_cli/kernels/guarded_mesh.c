@@ -75,6 +75,7 @@ int vhp_guarded_reserve(Guarded *g, int64_t vertices, int64_t faces)
         const int64_t old = g->face_room, room = faces + faces / 2;
         if (!resize(&g->faces, 3 * room, sizeof *g->faces) || !resize(&g->across, 3 * room, sizeof *g->across) ||
             !resize(&g->normal, 3 * room, sizeof *g->normal) || !resize(&g->quality, room, sizeof *g->quality) ||
+            !resize(&g->shortest, room, sizeof *g->shortest) ||
             !resize(&g->degenerate, room, sizeof *g->degenerate) ||
             !resize(&g->first_sample, room, sizeof *g->first_sample) || !resize(&g->leaf, room, sizeof *g->leaf) ||
             !resize(&g->nodes, 2 * room, sizeof *g->nodes))
@@ -293,7 +294,7 @@ VHP_EXPORT void vhp_guarded_free(Guarded *g)
     if (!g)
         return;
     void *arrays[] = {g->xyz, g->size, g->corner, g->valence, g->near, g->component, g->marks, g->touched, g->faces,
-                      g->across, g->normal, g->quality, g->degenerate, g->first_sample, g->nodes, g->leaf, g->stack,
+                      g->across, g->normal, g->quality, g->shortest, g->degenerate, g->first_sample, g->nodes, g->leaf, g->stack,
                       g->reference_normal, g->reference_size, g->sample, g->next_sample, g->sample_place, g->loose,
                       g->wanted_volume};
     for (size_t i = 0; i < sizeof arrays / sizeof *arrays; i++)
@@ -330,6 +331,7 @@ static int fill(Guarded *g, const double *vertices, int64_t n_vertices, const in
     for (int64_t f = 0; f < n_faces; f++) {
         const double *a = place(g, faces[3 * f]), *b = place(g, faces[3 * f + 1]), *c = place(g, faces[3 * f + 2]);
         g->quality[f] = shape_of(a, b, c, g->normal + 3 * f);
+        g->shortest[f] = shortest_of(a, b, c);
         g->degenerate[f] = vhp_projection_axis(a, b, c) < 0;
         g->first_sample[f] = -1;
     }

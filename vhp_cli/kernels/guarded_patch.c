@@ -39,8 +39,10 @@ double vhp_new_quality(const Guarded *g, Patch *patch, double *mean)
     double worst = INFINITY, sum = 0;
     for (int32_t i = 0; i < patch->n_new; i++) {
         const int32_t *v = patch->vertices[i];
-        const double q = shape_of(place(g, v[0]), place(g, v[1]), place(g, v[2]), patch->normal[i]);
+        const double *a = place(g, v[0]), *b = place(g, v[1]), *c = place(g, v[2]);
+        const double q = shape_of(a, b, c, patch->normal[i]);
         patch->quality[i] = q;
+        patch->shortest[i] = shortest_of(a, b, c);
         worst = q < worst ? q : worst;
         sum += q;
     }
@@ -103,8 +105,22 @@ static int vertex_within(Guarded *g, int32_t vertex)
     return 1;
 }
 
+int vhp_keeps_edges(const Guarded *g, const Patch *patch)
+{
+    double before = INFINITY, after = INFINITY;
+    for (int32_t i = 0; i < patch->n_new; i++)
+        after = patch->shortest[i] < after ? patch->shortest[i] : after;
+    if (after >= g->settings.edge_floor * g->settings.edge_floor)
+        return 1;
+    for (int32_t i = 0; i < patch->n_old; i++)
+        before = g->shortest[patch->old[i]] < before ? g->shortest[patch->old[i]] : before;
+    return after >= before;
+}
+
 int vhp_refusing_guard(Guarded *g, const Patch *patch, int32_t moved, int thorough)
 {
+    if (!vhp_keeps_edges(g, patch))
+        return REFUSED_QUALITY;
     if (!vhp_keeps_sides(g, patch))
         return REFUSED_NORMAL;
     if ((moved >= 0 && !vertex_within(g, moved)) || !vhp_patch_within(g, patch, thorough))
@@ -121,6 +137,7 @@ void vhp_settle(Guarded *g, const Patch *patch, const int32_t *numbers, int32_t 
         const int64_t face = numbers[i];
         memcpy(g->normal + 3 * face, patch->normal[i], sizeof patch->normal[i]);
         g->quality[face] = patch->quality[i];
+        g->shortest[face] = patch->shortest[i];
         g->degenerate[face] = 0;
         for (int k = 0; k < 3; k++)
             g->touched[patch->vertices[i][k]] = g->clock;

@@ -31,7 +31,7 @@ int32_t vhp_split(Guarded *g, int32_t corner)
     double mean;
     const double old_worst = vhp_old_quality(g, &patch, &mean), worst = vhp_new_quality(g, &patch, &mean);
     int guard = -1;
-    if (worst < LEAST_QUALITY && worst < 0.1 * old_worst)
+    if ((worst < LEAST_QUALITY && worst < 0.1 * old_worst) || !vhp_keeps_edges(g, &patch))
         guard = REFUSED_QUALITY;
     else if (!vhp_keeps_sides(g, &patch))
         guard = REFUSED_NORMAL;

@@ -52,6 +52,7 @@ class _Settings(ctypes.Structure):
         ("target_quality", f64),
         ("floor", f64),
         ("min_edge", f64),
+        ("edge_floor", f64),
         ("fold_cosine", f64),
         ("max_faces", i64),
         ("max_work", i64),
@@ -140,6 +141,8 @@ class Remesher:
         q below which an operation must not take the worst triangle around, unless it was worse before.
     min_edge
         The quality phase collapses shorter edges, in mm.
+    edge_floor
+        Length in mm below which an operation must not take the shortest edge around, unless it was shorter before.
     max_triangles
         No edge is split beyond that number.
     max_work
@@ -170,6 +173,7 @@ class Remesher:
         target_quality: float = 0.45,
         floor: float = 0.35,
         min_edge: float = 0.01,
+        edge_floor: float = 0.0,
         max_triangles: int = 1_000_000,
         max_work: int = 1_000_000_000,
         frozen: ArrayLike | None = None,
@@ -192,13 +196,14 @@ class Remesher:
         if not (deviation > 0 and math.isfinite(deviation)):
             raise ValueError(f"deviation must be above 0, not {deviation}")
         self._settings = _Settings(
-            _MARGIN * deviation,
-            target_quality,
-            floor,
-            min_edge,
-            math.cos(math.radians(180 - _LEAST_FOLD_DEG)),
-            min(max_triangles, surface.MAX_FACES // 4),
-            max_work,
+            deviation=_MARGIN * deviation,
+            target_quality=target_quality,
+            floor=floor,
+            min_edge=min_edge,
+            edge_floor=edge_floor,
+            fold_cosine=math.cos(math.radians(180 - _LEAST_FOLD_DEG)),
+            max_faces=min(max_triangles, surface.MAX_FACES // 4),
+            max_work=max_work,
         )
         samples = _reference_samples(to_vertices, to_faces, to_sizes, deviation)
         corner_sizes = np.ascontiguousarray(to_sizes[to_faces])

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from shapes import box, flipped, joined, moved, sphere
 
+from vhp_cli.formats import read_mesh
 from vhp_cli.mesh import Mesh
 from vhp_cli.stages.heal import heal
-from vhp_cli.stages.heal.candidate import judge
+from vhp_cli.stages.heal.candidate import diagonal, judge
 from vhp_cli.stages.heal.openings import is_jagged, turns
 from vhp_cli.stages.heal.options import HealOptions
 
@@ -153,6 +156,21 @@ def test_triangles_become_well_shaped_within_the_deviation() -> None:
     assert found.sound and found.min_quality >= 0.3 and found.mean_quality >= 0.85
     assert outcome.deviation["max"] <= 0.05
     assert found.measures["volume_mm3"] == pytest.approx(600.0, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_slivers_at_a_knife_edge_are_rounded_off_unless_a_limit_is_set(shared_data: Path) -> None:
+    given = read_mesh(shared_data / "thorax_r3" / "right_fourth_costal_cartilage.stl").mesh
+    limit = 1e-3 * diagonal(given)
+    outcome = heal(given, HealOptions())
+    assert outcome.mesh is not None
+    assert judge(outcome.mesh).min_quality >= 0.2
+    (rounded,) = [action for action in outcome.actions if action["step"] == "round off"]
+    (place,) = rounded["places"]
+    assert limit < place["value"] <= 3 * limit
+    strict = heal(given, HealOptions(max_deviation_mm=limit))
+    assert strict.mesh is not None
+    assert not [action for action in strict.actions if action["step"] == "round off"]
 
 
 def test_a_triangle_budget_is_kept() -> None:

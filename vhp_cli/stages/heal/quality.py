@@ -10,7 +10,7 @@ from vhp_cli.inspection.deviation import deviation
 from vhp_cli.kernels.measuring import closest
 from vhp_cli.kernels.remeshing import Remesher
 from vhp_cli.kernels.spatial import Tree
-from vhp_cli.measures import Action
+from vhp_cli.measures import Action, Place
 from vhp_cli.mesh import Mesh
 from vhp_cli.stages.heal.candidate import Candidate, diagonal, face_quality, judge
 from vhp_cli.stages.heal.options import HealOptions
@@ -29,6 +29,12 @@ _FIRST_SHARE = 0.5
 _RESCUE_SHARES = (0.65, 0.8)
 # Shares of the deviation for refining around what is still bad; added to those before, they stay below 1.
 _LOCAL_SHARES = (0.15, 0.2)
+# The same for what is really bad after that, round after round; where no limit was asked for, the last ones go beyond
+# the deviation, up to this many times as far.
+_LAST_SHARES = (0.2, 0.2, 0.2, 1.0, 1.0)
+_WIDEST = 3.0
+# The rounds end when there are this many times as many bad faces as before, and a few more.
+_SPREADING, _FEW_FACES = 2, 8
 # ... and no edge is asked for that is shorter than this many of the shortest that is allowed.
 _LEAST_EDGES = 2
 # Where the guards promised too much, the remesher runs again with this part of the deviation.
@@ -37,6 +43,8 @@ _CAREFUL = 0.6
 _FINER = 0.7
 # Bound on the time for one tissue: boxes and triangles looked at, some 3e7 in a second.
 _MOST_WORK = 600_000_000
+# ... and at least for each refinement around bad faces, which are few.
+_LOCAL_WORK = 60_000_000
 # Logarithm of the mean edge length over the wanted one, up to which an edge length counts as met.
 _NEAR_LENGTH = 0.25
 # A mesh may grow by this factor over its input, and to this number in any case.
@@ -87,6 +95,7 @@ def improve(solid: Candidate, given: Mesh, options: HealOptions) -> tuple[Candid
             if not attempts.bad_faces:
                 break
             attempts.refine(share)
+    attempts.refine_the_rest()
     return attempts.best, attempts.actions()
 
 
@@ -165,7 +174,32 @@ class _Attempts:
 
     def refine(self, share: float) -> None:
         """Remesh with shorter edges around the bad faces of the best attempt, which becomes the reference."""
-        mesh = self.best.mesh
+        self._take_best([self._refined(self.best.mesh, share)], self.step)
+
+    def refine_the_rest(self) -> None:
+        """Go on around really bad faces, each round from the last one, whether that was better as a whole or not."""
+        if self.best is self.solid or self.best.min_quality >= self._bad:
+            return
+        mesh, before = self.best.mesh, self._bad_count(self.best)
+        widening = _WIDEST if self.options.max_deviation_mm is None else 1.0
+        for share in _LAST_SHARES:
+            found = self._refined(mesh, share)
+            count = self._bad_count(found)
+            if not found.sound or count > _SPREADING * before + _FEW_FACES:
+                break
+            self._take_best([found], self.step, widening)
+            if not count:
+                break
+            mesh, before = found.mesh, count
+
+    @property
+    def _bad(self) -> float:
+        return min(_BAD, self.options.target_quality)
+
+    def _bad_count(self, candidate: Candidate) -> int:
+        return int((face_quality(candidate.mesh) < self._bad).sum())
+
+    def _refined(self, mesh: Mesh, share: float) -> Candidate:
         bad = face_quality(mesh) < self.options.target_quality
         sizes = np.maximum(sizes_around(mesh, bad), _LEAST_EDGES * self.options.min_edge_mm)
         remesher = Remesher(
@@ -176,11 +210,11 @@ class _Attempts:
             target_quality=max(_WORK_BELOW, self.options.target_quality),
             floor=max(0.35, self.options.target_quality),
             min_edge=max(self.options.min_edge_mm, 0.25 * float(sizes.min())),
+            edge_floor=self.options.min_edge_mm,
             max_triangles=self.options.max_triangles or 2 * len(mesh.faces) + 1000,
-            max_work=self._work_left,
+            max_work=max(self._work_left, _LOCAL_WORK),
         )
-        found = self._result(remesher, 3, bulk=True)
-        self._take_best([found], self.step)
+        return self._result(remesher, 3, bulk=True)
 
     def _attempt(self, field: _Field, iterations: int, *, bulk: bool, step: str) -> None:
         """Run the remesher, and again with wider envelopes where it does not suffice; take the best result."""
@@ -193,9 +227,9 @@ class _Attempts:
             return
         self._take_best([self._run(self.solid.mesh, field, _CAREFUL * _FIRST_SHARE, iterations, bulk=bulk)], step)
 
-    def _take_best(self, found: list[Candidate], step: str) -> bool:
+    def _take_best(self, found: list[Candidate], step: str, widening: float = 1.0) -> bool:
         for candidate in sorted(found, key=lambda one: _rank(one, self.options), reverse=True):
-            if self._is_better(candidate) and self._keeps_shape(candidate):
+            if self._is_better(candidate) and self._keeps_shape(candidate, widening):
                 self.best, self.step = candidate, step
                 return True
         return False
@@ -223,12 +257,23 @@ class _Attempts:
             f"mean q {first.mean_quality:.2f} -> {last.mean_quality:.2f}, "
             f"min edge {first.min_edge:.2g} -> {last.min_edge:.2g} mm"
         )
-        return [{"step": "remesh", "message": message, "count": last.measures["triangles"], "places": []}]
+        actions: list[Action] = [
+            {"step": "remesh", "message": message, "count": last.measures["triangles"], "places": []}
+        ]
+        apart = deviation(first.mesh, last.mesh, lost_limit_mm=self.allowed)
+        if apart["max"] > self.allowed:
+            farthest = max(apart["to_output"], apart["to_input"], key=lambda way: way["max"])
+            message = f"slivers rounded off: there the surface moved by up to {apart['max']:.2g} mm"
+            places: list[Place] = []
+            if farthest["xyz_mm"] is not None:
+                places = [{"xyz_mm": farthest["xyz_mm"], "face": None, "value": apart["max"]}]
+            actions.append({"step": "round off", "message": message, "count": 1, "places": places})
+        return actions
 
-    def _keeps_shape(self, found: Candidate) -> bool:
+    def _keeps_shape(self, found: Candidate, widening: float) -> bool:
         """Measure what the guards promise: they look at a few points of each triangle only."""
         measured = deviation(self.solid.mesh, found.mesh, lost_limit_mm=self.allowed)
-        return measured["max"] <= self.allowed
+        return measured["max"] <= widening * self.allowed
 
     def _field(self, factor: float) -> _Field:
         mesh, options = self.solid.mesh, self.options
@@ -269,6 +314,7 @@ class _Attempts:
             target_quality=max(_WORK_BELOW, self.options.target_quality),
             floor=max(0.35, self.options.target_quality),
             min_edge=max(self.options.min_edge_mm, 0.25 * field.limits.shortest_mm),
+            edge_floor=self.options.min_edge_mm,
             max_triangles=self.options.max_triangles or 3 * max(field.estimate, len(mesh.faces)),
             max_work=self._work_left,
         )
