@@ -1,4 +1,4 @@
-"""``vhp decimate``: fewer triangles, and surfaces that are as valid as they were."""
+"""``vhp decimate``: fewer triangles, or more where it matters, and surfaces that are as valid as they were."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import click
 
 from vhp_cli.commands.common import ProgressBar
 from vhp_cli.commands.options import judging_options, model_options, report_options, stage_options, worker_options
+from vhp_cli.commands.refining import DECIMATING, REFINING, is_refinement, own_values, refine_stage
 from vhp_cli.commands.staging import Shared, run_staged
 from vhp_cli.errors import UsageError
 
@@ -58,6 +59,35 @@ _LENGTH = click.FloatRange(min=0, min_open=True)
     metavar="Q",
     help="Bring all triangles to this q = 2 r_in / r_out. [default: 0.3]",
 )
+@click.option(
+    "--refine",
+    type=click.FloatRange(0, 100, min_open=True),
+    metavar="PERCENT",
+    help="Do not decimate: split the worst triangles of each tissue at the midpoints of their edges, then smooth.",
+)
+@click.option(
+    "--by",
+    type=click.Choice(["error", "size"]),
+    help="Refine the triangles with the largest errors, or the largest ones. [default: error]",
+)
+@click.option(
+    "--errors",
+    type=click.Path(),
+    metavar="PATH",
+    help="Errors to refine by: FILE.npy with a number for each triangle of the only tissue, or a directory with "
+    "NAME.npy for each. [default: in PLY files, see --error-property]",
+)
+@click.option(
+    "--error-property", metavar="NAME", help="Property of the faces of PLY files that is the error. [default: error]"
+)
+@click.option(
+    "--scenario",
+    type=click.Choice(["all-edges", "shared-edges"]),
+    help="Refine all edges of the picked triangles, and fit those around them; or only edges that two picked triangles "
+    "share, and boundary edges. [default: all-edges]",
+)
+@click.option("--levels", type=click.IntRange(1, 10), metavar="N", help="Refine N times over. [default: 1]")
+@click.option("--smooth/--no-smooth", default=None, help="Smooth what was refined. [default: smooth]")
 @judging_options
 @report_options
 @worker_options
@@ -71,28 +101,46 @@ def decimate(
     max_deviation: float | None,
     method: str | None,
     target_q: float | None,
+    refine: float | None,
+    by: str | None,
+    errors: str | None,
+    error_property: str | None,
+    scenario: str | None,
+    levels: int | None,
+    smooth: bool | None,
     **shared: Any,
 ) -> None:
-    """Decimate a model: fewer triangles, no new hole, crossing or contact.
+    """Decimate a model, or refine it: fewer or more triangles, no new hole, crossing or contact.
 
     Every tissue of MODEL is written to OUT under its own name, with the number of triangles asked for, or as few as
-    the limits allow; the report says why. A result that breaks a rule which the input kept is never written. The gate
-    of `vhp check` then judges OUT.
+    the limits allow; the report says why. With --refine, its worst triangles are split instead. A result that breaks
+    a rule which the input kept is never written. The gate of `vhp check` then judges OUT.
 
     Exit code: 0 the result passed, 1 errors remain, 2 wrong usage or nothing readable, 3 a tissue could not be
     processed.
     """
     request = Shared(**shared)
-    flags = {
+    given = {
         "ratio": ratio,
         "triangles": triangles,
         "edge-length": edge_length,
         "max-deviation": max_deviation,
         "method": method,
         "target-q": target_q,
+        "refine": refine,
+        "by": by,
+        "errors": errors,
+        "error-property": error_property,
+        "scenario": scenario,
+        "levels": levels,
+        "smooth": smooth,
     }
+    flags = {key: value for key, value in given.items() if value is not None}
     settings = request.settings()
-    options, options_of = _options(settings, {key: value for key, value in flags.items() if value is not None})
+    if is_refinement(settings.stages.get("decimate", {}), flags):
+        run_staged(ctx, refine_stage(settings, flags, request), settings, request)
+        return
+    options, options_of = _options(settings, flags)
 
     from vhp_cli.pipeline.stage import Stage
 
@@ -114,21 +162,23 @@ def _options(
     """
     from vhp_cli.stages.decimate.options import DecimateOptions
 
-    options = DecimateOptions().changed(settings.stages.get("decimate", {}), "decimate")
-    options = options.changed(flags, "command line")
+    table = own_values(settings.stages.get("decimate", {}), REFINING, "decimate")
+    options = DecimateOptions().changed(table, "decimate").changed(flags, "command line")
     if not options.targets and options.max_deviation_mm is None:
         raise UsageError(
             "how far is the model to be decimated?",
-            hint="give --ratio, --triangles, --edge-length, or --max-deviation alone",
+            hint="give --ratio, --triangles, --edge-length, or --max-deviation alone; or --refine for more triangles",
         )
+    refused = () if flags.keys() & DECIMATING else ("refine",)
     for override in settings.tissues:
         # What is wrong in a section is said, whether a tissue matches or not.
-        options.changed(override.stages.get("decimate", {}), f"[[tissue]] {override.match!r}: decimate")
+        where = f"[[tissue]] {override.match!r}: decimate"
+        options.changed(own_values(override.stages.get("decimate", {}), REFINING, where, refused), where)
 
     def options_of(name: str) -> DecimateOptions:
         mine = options
         for where, values in settings.stage_tables("decimate", name):
-            mine = mine.changed(values, where)
+            mine = mine.changed(own_values(values, REFINING, where), where)
         quality = settings.rule("Q001", name)
         if quality.level and quality.limit is not None:
             mine = replace(mine, target_quality=max(mine.target_quality, min(quality.limit, 0.9)))

@@ -136,6 +136,32 @@ def parse_ply(path: Path, data: bytes, *, weld_tolerance: float = 0.0) -> Readin
     )
 
 
+def face_property(path: Path, data: bytes, name: str) -> NDArray[np.float64] | None:
+    """Read one number for each face of a PLY file.
+
+    Parameters
+    ----------
+    path, data
+        As of `parse_ply`, which has to accept the file.
+    name
+        Of the property.
+
+    Returns
+    -------
+    (N,) float64
+        One for each face of the file that is complete; None if the faces have no such property, or it is a list.
+    """
+    header = _parse_header(path, data)
+    body = _Text(data, header) if header.encoding == "ascii" else _Body(data, header)
+    for element in header.elements:
+        if element.name != "face":
+            body.skip(element)
+            continue
+        index = element.index(name)
+        return None if index is None or element.properties[index].count_type else body.read_numbers(element, index)
+    return None
+
+
 # ---------------------------------------------------------------- header
 
 
@@ -275,6 +301,12 @@ class _Body:
                     points[:, k] = np.ndarray(complete, self._order + item.type, self._values, first, stride)
         self._offset += complete * stride
         return points, complete
+
+    def read_numbers(self, element: _Element, index: int) -> NDArray[np.float64]:
+        """Return the values of a property that is no list in the complete records."""
+        element = self._stored(element)
+        with np.errstate(invalid="ignore"):
+            return self._gather(*self._walk(element, index)[:2], element.properties[index]).astype(np.float64)
 
     def fans(
         self, element: _Element, starts: NDArray[np.int64], lengths: NDArray[np.int64]

@@ -18,6 +18,7 @@ from vhp_cli.formats.atomic import refused, write_atomically
 from vhp_cli.measures import Action
 from vhp_cli.model import Model, TissueFile
 from vhp_cli.pipeline.check import Progress, available_cores
+from vhp_cli.pipeline.face_errors import FaceErrors
 from vhp_cli.pipeline.journal import Entry, Journal, head_of
 from vhp_cli.pipeline.output import clear, earlier_run, output_files, refuse_overlap, sha256_of, sole_writer
 from vhp_cli.pipeline.task import Result, Task
@@ -49,6 +50,8 @@ class Stage:
         The last of these attempts is to leave the tissue as it is.
     never_worse
         Whether a result that is worse than the input is thrown away (`Task.never_worse`).
+    face_errors
+        Returns where the errors of the faces of the tissue of this name are (`Task.face_errors`); None: nowhere.
     """
 
     command: str
@@ -58,6 +61,7 @@ class Stage:
     most_gentle: int = 0
     gives_up: bool = False
     never_worse: bool = True
+    face_errors: Callable[[str], FaceErrors | None] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,6 +329,7 @@ class _Runner:
             self._settings,
             level,
             self._stage.never_worse,
+            self._stage.face_errors(source.name) if self._stage.face_errors else None,
         )
         child = self._children.get()
         try:

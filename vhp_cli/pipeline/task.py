@@ -10,11 +10,12 @@ import numpy as np
 
 from vhp_cli import formats
 from vhp_cli.config import UNITS, Settings
-from vhp_cli.errors import UnreadableFileError
+from vhp_cli.errors import UnreadableFileError, VhpError
 from vhp_cli.formats.reading import Reading
 from vhp_cli.measures import Action, Deviation, Distance, Introduced, SmoothingStep
 from vhp_cli.mesh import Mesh
 from vhp_cli.model import TissueFile
+from vhp_cli.pipeline.face_errors import FaceErrors, read_face_errors
 from vhp_cli.pipeline.measuring import issues_of, measure, parse_in_mm, scaled, shape_limits, unreadable
 from vhp_cli.pipeline.regressions import Measured, regressions
 from vhp_cli.stages.outcome import Outcome, Status
@@ -41,6 +42,8 @@ class Task:
         How much more gently to go about it than `options` say, by their method ``gentler``.
     never_worse
         Whether a result that is worse than the input is thrown away; else what is worse is told.
+    face_errors
+        Where the errors of the faces are, which the stage takes as a third argument; None: it takes none.
     """
 
     source: TissueFile
@@ -49,6 +52,7 @@ class Task:
     settings: Settings
     level: int = 0
     never_worse: bool = True
+    face_errors: FaceErrors | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +99,13 @@ def process(task: Task) -> Result:
         span = np.ptp(reading.mesh.vertices, axis=0)
         options = options.gentler(task.level, float(np.linalg.norm(span)))
     module, _, name = task.target.partition(":")
-    outcome: Outcome = getattr(importlib.import_module(module), name)(reading.mesh, options)
+    arguments: list[Any] = [reading.mesh, options]
+    if task.face_errors is not None:
+        try:
+            arguments.append(read_face_errors(task.face_errors, task.source, data, reading))
+        except VhpError as error:
+            return Result("failed", error.message + (f"; {error.hint}" if error.hint else ""), sha256=sha256)
+    outcome: Outcome = getattr(importlib.import_module(module), name)(*arguments)
     return replace(_accepted(task, reading, before, data, outcome), sha256=sha256)
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
-import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import ClassVar
 
 from vhp_cli.errors import UsageError
+from vhp_cli.stages.options import Flag, Keys, Name, Number, StageOptions
 from vhp_cli.stages.smooth.textbook import Correction, Method, Update
 
 GUARDED = "guarded"
@@ -18,9 +17,27 @@ METHODS = (GUARDED, *Method)
 _GUARDED_ITERATIONS = 50
 _TEXTBOOK_ITERATIONS = 10
 
+# Keys of the section [smooth] in vhp.toml, also the long options of the command line.
+KEYS: Keys = MappingProxyType(
+    {
+        "method": ("method", Name(METHODS)),
+        "update": ("update", Name(tuple(Update))),
+        "correction": ("correction", Name(tuple(Correction))),
+        "tangential": ("tangential", Flag()),
+        "flips": ("flips", Flag()),
+        "iterations": ("iterations", Number(0, 1e6, may_be_least=True, whole=True)),
+        "until-q": ("until_quality", Number(0, 1, may_be_least=True)),
+        "max-deviation": ("max_deviation_mm", Number()),
+        "volume-tolerance": ("volume_tolerance", Number(0, 1)),
+        "max-dihedral": ("max_dihedral_deg", Number(0, 180)),
+        "feature-angle": ("feature_angle_deg", Number(0, 180)),
+        "unguarded": ("unguarded", Flag()),
+    }
+)
+
 
 @dataclass(frozen=True, slots=True)
-class SmoothOptions:
+class SmoothOptions(StageOptions):
     """How a tissue is smoothed; lengths in mm.
 
     Parameters
@@ -54,6 +71,8 @@ class SmoothOptions:
         If a value is not known or out of range.
     """
 
+    known: ClassVar[Keys] = KEYS
+
     method: str = GUARDED
     update: str = Update.SIMULTANEOUS
     correction: str = Correction.NONE
@@ -67,14 +86,6 @@ class SmoothOptions:
     feature_angle_deg: float | None = None
     unguarded: bool = False
     min_edge_mm: float = 0.01
-
-    def __post_init__(self) -> None:
-        for name, known in _NAMES.items():
-            _check_name(name, getattr(self, name), known)
-        for name, (least, most, may_be_least) in _RANGES.items():
-            value = getattr(self, name)
-            if value is not None:
-                _check_range(name, value, least, most, may_be_least=may_be_least)
 
     @property
     def with_flips(self) -> bool:
@@ -105,103 +116,7 @@ class SmoothOptions:
                 f"{where}: sharp edges can be rounded off (max-dihedral) or kept (feature-angle), not both"
             )
 
-    def changed(self, values: Mapping[str, object], where: str) -> SmoothOptions:
-        """Return the options with some values of a settings file in place.
-
-        Parameters
-        ----------
-        values
-            By key, as in `KEYS`.
-        where
-            Where they stand, for the messages.
-
-        Raises
-        ------
-        UsageError
-            If a key is not known, or a value has the wrong type or is out of range.
-        """
-        changes = {}
-        for key, value in values.items():
-            if key not in KEYS:
-                near = difflib.get_close_matches(key, KEYS, 1)
-                raise UsageError(f"{where}: {key!r} is not known" + (f"; did you mean {near[0]!r}?" if near else ""))
-            changes[KEYS[key]] = _typed(KEYS[key], value, f"{where}.{key}")
-        try:
-            return replace(self, **changes)  # type: ignore[arg-type]
-        except UsageError as error:
-            raise UsageError(f"{where}: {error.message}") from None
-
     def gentler(self, level: int, diagonal_mm: float) -> SmoothOptions:
         """Return the options for a further attempt at a tissue of this size: each may move it a quarter as far."""
         limit = self.max_deviation_mm or min(1e-3 * diagonal_mm, 0.1)
         return replace(self, max_deviation_mm=limit / 4**level)
-
-    def as_dict(self) -> dict[str, object]:
-        """Return all values by the keys of a settings file; None: decided for each tissue."""
-        values = asdict(self)
-        return {key: values[name] for key, name in KEYS.items()}
-
-
-# Keys of the section [smooth] in vhp.toml, also the long options of the command line.
-KEYS: Mapping[str, str] = MappingProxyType(
-    {
-        "method": "method",
-        "update": "update",
-        "correction": "correction",
-        "tangential": "tangential",
-        "flips": "flips",
-        "iterations": "iterations",
-        "until-q": "until_quality",
-        "max-deviation": "max_deviation_mm",
-        "volume-tolerance": "volume_tolerance",
-        "max-dihedral": "max_dihedral_deg",
-        "feature-angle": "feature_angle_deg",
-        "unguarded": "unguarded",
-    }
-)
-_KEY_OF = {name: key for key, name in KEYS.items()}
-_NAMES: Mapping[str, tuple[str, ...]] = {"method": METHODS, "update": tuple(Update), "correction": tuple(Correction)}
-_FLAGS = ("tangential", "flips", "unguarded")
-_WHOLE = ("iterations",)
-# Least and largest value, and whether the least one is allowed itself.
-_RANGES: Mapping[str, tuple[float, float, bool]] = {
-    "iterations": (0, 1e6, True),
-    "until_quality": (0, 1, True),
-    "max_deviation_mm": (0, math.inf, False),
-    "volume_tolerance": (0, 1, False),
-    "max_dihedral_deg": (0, 180, False),
-    "feature_angle_deg": (0, 180, False),
-}
-
-
-def _check_name(name: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        near = difflib.get_close_matches(str(value), known, 1)
-        hint = f"; did you mean {near[0]!r}?" if near else f"; one of {', '.join(known)}"
-        raise UsageError(f"{_KEY_OF[name]}: {value!r} is not known{hint}")
-
-
-def _check_range(name: str, value: float, least: float, most: float, *, may_be_least: bool) -> None:
-    # NaN is in no range.
-    if not (math.isfinite(value) and least <= value <= most) or (value == least and not may_be_least):
-        lower = f"at least {least:g}" if may_be_least else f"above {least:g}"
-        upper = "" if most == math.inf else f" and at most {most:g}"
-        raise UsageError(f"{_KEY_OF[name]}: expected a finite number {lower}{upper}, not {value:g}")
-
-
-def _typed(name: str, value: object, where: str) -> object:
-    if name in _NAMES:
-        if not isinstance(value, str):
-            raise UsageError(f"{where}: expected a name, not {value!r}")
-        return value
-    if name in _FLAGS:
-        if not isinstance(value, bool):
-            raise UsageError(f"{where}: expected true or false, not {value!r}")
-        return value
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise UsageError(f"{where}: expected a number, not {value!r}")
-    if name in _WHOLE:
-        if not math.isfinite(value) or value != int(value):
-            raise UsageError(f"{where}: expected a whole number, not {value!r}")
-        return int(value)
-    return float(value)
