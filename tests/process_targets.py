@@ -102,3 +102,40 @@ def nested_timeout():
 def start_sleeper():
     """Start a process that is no Child, and leave it behind."""
     return subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]).pid
+
+
+def mesh_nothing(vertices, faces, options):
+    """In place of an engine: never return, as some surfaces make it do."""
+    hold_the_interpreter()
+
+
+def crash_while_meshing(vertices, faces, options):
+    Path("stray.stl").write_text("x")
+    crash()
+
+
+def mesh_small_surfaces_only(vertices, faces, options):
+    """In place of an engine: hang on large surfaces, crash on small ones, and mesh the others."""
+    from vhp_cli.engines.tetwild import tetrahedralize
+
+    if len(faces) == 12:
+        crash()
+    if len(faces) > 1000:
+        hold_the_interpreter()
+    return tetrahedralize(vertices, faces, options)
+
+
+def fail_to_mesh(vertices, faces, options):
+    raise ValueError("these triangles make no sense")
+
+
+def no_tetrahedra(vertices, faces, options):
+    return vertices, np.empty((0, 4), np.int32)
+
+
+def wild_points(vertices, faces, options):
+    return np.full((4, 3), np.nan), np.array([[0, 1, 2, 3]], np.int32)
+
+
+def lost_corners(vertices, faces, options):
+    return vertices, np.array([[0, 1, 2, len(vertices)]], np.int32)

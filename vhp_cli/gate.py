@@ -68,24 +68,24 @@ def tissue_findings(
     settings
         Levels and limits.
     """
-    return _kept(settings, [name], _tissue(name, measures, defects, issues, clashes, settings))
+    return findings_of(settings, [name], _tissue(name, measures, defects, issues, clashes, settings))
 
 
 def failure_findings(a: str, b: str, error: str, settings: Settings) -> list[Finding]:
     """Return the finding for a pair of tissues that could not be processed."""
-    return _kept(settings, [a, b], [("F012", 1, error, [])])
+    return findings_of(settings, [a, b], [("F012", 1, error, [])])
 
 
 def pair_findings(pair: PairRecord, settings: Settings) -> list[Finding]:
     """Return what is wrong between two tissues."""
-    return _kept(settings, [pair["a"], pair["b"]], _pair(pair, settings))
+    return findings_of(settings, [pair["a"], pair["b"]], _pair(pair, settings))
 
 
 def model_findings(
     tissues: Sequence[TissueRecord], pairs: Iterable[PairRecord], unread: Sequence[str], settings: Settings
 ) -> list[Finding]:
     """Return what is wrong with the model as a whole; `unread` are mesh files that were left out."""
-    findings = _kept(settings, [], _model(tissues, unread, settings))
+    findings = findings_of(settings, [], _model(tissues, unread, settings))
     inside = {
         (pair["a"], pair["b"]) if pair["inside"] == "a" else (pair["b"], pair["a"]) for pair in pairs if pair["inside"]
     }
@@ -94,12 +94,12 @@ def model_findings(
         for pattern in (declared.first, declared.second):
             if not any(matches(name, pattern) for name in names):
                 message = f"{pattern!r} is declared to be nested, and no tissue has such a name"
-                findings += _kept(settings, [], [("P006", 1, message, [])])
+                findings += findings_of(settings, [], [("P006", 1, message, [])])
         for inner in names:
             for outer in names:
                 if inner != outer and declared.matches(inner, outer) and (inner, outer) not in inside:
                     message = "the first is declared to lie inside the second, and does not"
-                    findings += _kept(settings, [inner, outer], [("P006", 1, message, [])])
+                    findings += findings_of(settings, [inner, outer], [("P006", 1, message, [])])
     return findings
 
 
@@ -120,7 +120,7 @@ def sort_findings(findings: Iterable[Finding], order: Sequence[str]) -> list[Fin
 _Broken = tuple[str, int, str, list[Place]]
 
 
-def _kept(settings: Settings, names: list[str], broken: Iterable[_Broken]) -> list[Finding]:
+def findings_of(settings: Settings, names: list[str], broken: Iterable[_Broken]) -> list[Finding]:
     """Return the findings whose rules are on."""
     findings: list[Finding] = []
     for code, count, message, places in broken:

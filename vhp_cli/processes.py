@@ -24,7 +24,7 @@ import tempfile
 import threading
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import IO, Any, Literal
 
@@ -86,13 +86,22 @@ class Child:
         Linux only.
     name
         What to call the process in messages.
+    on_output
+        Called with what the libraries in the child print, piece by piece, from another thread.
     """
 
-    def __init__(self, *, memory_gb: float | None = None, name: str = "worker") -> None:
+    def __init__(
+        self,
+        *,
+        memory_gb: float | None = None,
+        name: str = "worker",
+        on_output: Callable[[bytes], None] | None = None,
+    ) -> None:
         if memory_gb is not None and not memory_gb > 0:
             raise ValueError(f"memory_gb must be above 0, not {memory_gb}")
         self._memory_gb = memory_gb
         self._name = name
+        self._on_output = on_output
         self._lock = threading.Lock()
         self._process: _Process | None = None
 
@@ -137,7 +146,7 @@ class Child:
             try:
                 if self._process is None or not self._process.alive:
                     self._stop()
-                    self._process = _Process(self._memory_gb)
+                    self._process = _Process(self._memory_gb, self._on_output)
                 outcome = self._process.exchange(request, deadline)
             except BaseException:
                 self._stop()
@@ -199,7 +208,7 @@ def _kill_when_started(future: Future[subprocess.Popen[bytes]]) -> None:
 class _Process:
     """One running child; nothing of it is left after `kill`."""
 
-    def __init__(self, memory_gb: float | None) -> None:
+    def __init__(self, memory_gb: float | None, on_output: Callable[[bytes], None] | None) -> None:
         if _stopped.is_set():
             raise CallsStopped("the program is being interrupted")
         self._directory = tempfile.mkdtemp(prefix="vhp-")
@@ -210,7 +219,8 @@ class _Process:
             raise
         self.pid = self._popen.pid
         self._output = bytearray()
-        self._listener = threading.Thread(target=_keep_tail, args=(self._popen.stderr, self._output), daemon=True)
+        arguments = (self._popen.stderr, self._output, on_output)
+        self._listener = threading.Thread(target=_keep_tail, args=arguments, daemon=True)
         self._listener.start()
         self._finalizer = weakref.finalize(self, _end, self._popen, self._directory, self._listener)
         with _running_lock:
@@ -323,11 +333,15 @@ def _end(popen: subprocess.Popen[bytes], directory: str, listener: threading.Thr
     shutil.rmtree(directory, ignore_errors=True)
 
 
-def _keep_tail(stream: IO[bytes], kept: bytearray) -> None:
+def _keep_tail(stream: IO[bytes], kept: bytearray, on_output: Callable[[bytes], None] | None) -> None:
     with contextlib.suppress(OSError, ValueError):
         while chunk := os.read(stream.fileno(), 1 << 16):
             kept += chunk
             del kept[:-_KEPT_OUTPUT]
+            if on_output is not None:
+                # Whatever goes wrong there, the pipe must not fill up.
+                with contextlib.suppress(Exception):
+                    on_output(chunk)
 
 
 # A message is the number of its parts, their lengths, and the parts: the pickle, then the bytes of large arrays.

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from shapes import box, flipped, joined, moved, sphere
 
 from vhp_cli import engines
+from vhp_cli.engines import tetwild
 from vhp_cli.kernels import surface
 from vhp_cli.kernels.spatial import Tree
 from vhp_cli.mesh import Mesh
@@ -156,3 +159,70 @@ def test_same_input_gives_the_same_bytes(pymeshlab, name, options):
     assert result() == first
     engines._local.child[0].close()
     assert result() == first
+
+
+FILLING = {
+    "envelope_mm": 0.3,
+    "edge_length_mm": 6.0,
+    "stop_energy": 10.0,
+    "iterations": 80,
+    "coarsen": False,
+    "threads": 1,
+    "sizing": None,
+}
+
+
+def test_tetrahedra_of_nested_and_open_surfaces(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    given = joined(sphere(10), moved(sphere(4), (3, 0, 0)), Mesh(box().vertices + 30, box().faces[2:]))
+    said = bytearray()
+    points, tetrahedra = engines.call_volume(
+        "tetwild-volume", given, timeout_s=TIMEOUT, on_output=said.extend, **FILLING
+    )
+    corners = points[tetrahedra]
+    sizes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+    assert sizes.min() > 0
+    # All of a box around the surfaces.
+    assert sizes.sum() == pytest.approx(np.prod(np.ptp(points, axis=0)))
+    assert (points.min(axis=0) < -10).all() and (points.max(axis=0) > 40).all()
+    inner = np.linalg.norm(corners.mean(axis=1) - [3, 0, 0], axis=1) < 3.9
+    assert sizes[inner].sum() == pytest.approx(4 / 3 * np.pi * 4**3, rel=0.2)
+    # What it prints and leaves behind is kept from the user.
+    assert b"max_energy" in said
+    assert capfd.readouterr() == ("", "") and not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "said"),
+    [
+        (np.zeros((3, 3)), np.empty((0, 3), np.int32), "no triangles"),
+        (np.array([[0, 0, 0], [1, 0, 0], [0, np.nan, 1.0]]), np.array([[0, 1, 2]]), "not finite"),
+        (np.array([[0, 0, 0], [1, 0, 0], [0, 1.0, 0]]), np.array([[0, 1, 2]]), "one plane"),
+    ],
+)
+def test_what_would_crash_the_mesher_is_refused(vertices, faces, said):
+    with pytest.raises(CallFailed, match=rf"^tetwild-volume \(pytetwild\): ValueError: .*{said}") as caught:
+        engines.call_volume("tetwild-volume", Mesh(vertices, faces), timeout_s=TIMEOUT, **FILLING)
+    assert caught.value.reason == "error"
+    with pytest.raises(ValueError, match="does not exist"):
+        tetwild.tetrahedralize(sphere().vertices, sphere().faces + 1, FILLING)
+
+
+@pytest.mark.slow
+def test_a_sizing_field_makes_edges_short_where_it_says_so():
+    corners = np.array([[x, y, z] for x in (-15.0, 15) for y in (-15.0, 15) for z in (-15.0, 15)])
+    cells = np.array([(0, 4, 6, 7), (0, 6, 2, 7), (0, 2, 3, 7), (0, 3, 1, 7), (0, 1, 5, 7), (0, 5, 4, 7)], np.int32)
+    counts = []
+    for sizing in (None, (corners, cells, np.full(8, 1.5))):
+        options = {**FILLING, "sizing": sizing}
+        counts.append(len(engines.call_volume("tetwild-volume", sphere(10), timeout_s=TIMEOUT, **options)[1]))
+    assert counts[1] > 2 * counts[0]
+
+
+def test_tetrahedra_that_are_none_are_not_believed(monkeypatch):
+    known = dict(engines.ENGINES)
+    monkeypatch.setattr(engines, "ENGINES", known)
+    for target, said in (("no_tetrahedra", "no tetrahedra"), ("wild_points", "not finite"), ("lost_corners", "exist")):
+        known["tetwild-volume"] = replace(known["tetwild-volume"], target=f"process_targets:{target}")
+        with pytest.raises(CallFailed, match=said):
+            engines.call_volume("tetwild-volume", sphere(), timeout_s=TIMEOUT)

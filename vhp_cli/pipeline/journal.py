@@ -14,12 +14,12 @@ import threading
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from vhp_cli import __version__
-from vhp_cli.engines import ENGINES
+from vhp_cli.engines import ENGINES, Name
 from vhp_cli.formats.atomic import refused, write_atomically
 from vhp_cli.measures import Action, Deviation, Introduced, SmoothingStep
 from vhp_cli.stages.outcome import Status
@@ -136,8 +136,9 @@ def _line(value: Mapping[str, object]) -> bytes:
 
 
 def engine_versions() -> dict[str, str]:
-    """Return the versions of the third-party engines; empty for one that isn't installed."""
-    return {engine.distribution: engine.version for engine in ENGINES.values()}
+    """Return the versions of the engines that make surfaces; empty for one that isn't installed."""
+    engines = (ENGINES[name] for name in get_args(Name))
+    return {engine.distribution: engine.version for engine in engines}
 
 
 class Journal:
