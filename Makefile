@@ -34,7 +34,7 @@ $(VENV)/.dev: $(VENV)/.test
 	$(PIP) install -e '.[test,dev]'
 	@touch $@
 
-demo: $(VENV)/.package system-libraries ## make two small models, one sound and one with defects, check both, and heal the second
+demo: $(VENV)/.package system-libraries ## make two small models, one sound and one with defects, check both, heal the second, let the first breathe
 	@rm -rf $(DEMO)
 	$(BIN)/vhp phantom $(DEMO)/phantom
 	$(BIN)/vhp check $(DEMO)/phantom --report $(DEMO)/phantom.json
@@ -46,7 +46,8 @@ demo: $(VENV)/.package system-libraries ## make two small models, one sound and 
 	$(BIN)/vhp heal $(DEMO)/broken -o $(DEMO)/healed --report $(DEMO)/healed.md
 	$(BIN)/vhp check $(DEMO)/healed
 	@echo 'Healed, the broken model passes.'
-	@echo 'Reports: $(DEMO)/phantom.json $(DEMO)/broken.json $(DEMO)/broken.md $(DEMO)/healed/report.json $(DEMO)/healed.md'
+	$(BIN)/vhp breathe $(DEMO)/phantom -o $(DEMO)/breathing
+	@echo 'Reports: $(DEMO)/phantom.json $(DEMO)/broken.json $(DEMO)/broken.md $(DEMO)/healed/report.json $(DEMO)/healed.md $(DEMO)/breathing/report.json'
 	@echo 'Defects planted: $(DEMO)/broken/planted.json'
 
 test: $(VENV)/.test system-libraries ## run every test

@@ -22,6 +22,8 @@ FAMILIES = {
     "X": "Self-intersection",
     "Q": "Quality",
     "P": "Pairs of tissues",
+    "M": "Tetrahedra",
+    "B": "Breathing",
 }
 
 _INTRODUCTION = """\

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from vhp_cli.measures import Finding, Level, PairRecord, Report
 from vhp_cli.report import text
+from vhp_cli.report.tetmesh_table import print_tetmesh, tetmesh_lines
 from vhp_cli.report.verdict import (
     Verdict,
     all_findings,
@@ -96,6 +97,9 @@ def _columns(console: Console, *, staged: bool) -> Table:
 def _print_tissues(report: Report, verdicts: list[Verdict], console: Console, *, verbose: bool) -> None:
     from rich.text import Text
 
+    if "tetmesh" in report:
+        _print_mesh(report, verdicts, console, verbose=verbose)
+        return
     staged = is_staged(report)
     table = _columns(console, staged=staged)
     short = not verbose and len(verdicts) > _LONG_MODEL
@@ -127,10 +131,19 @@ def _print_tissues(report: Report, verdicts: list[Verdict], console: Console, *,
     console.print()
 
 
+def _print_mesh(report: Report, verdicts: list[Verdict], console: Console, *, verbose: bool) -> None:
+    if hidden := print_tetmesh(report, verdicts, console, verbose=verbose):
+        _print_words(console, f"{text.plural(hidden, 'tissue')} passed (all are listed with --verbose)", "dim")
+    console.print()
+    for line in tetmesh_lines(report["tetmesh"]):
+        _print_words(console, line)
+    console.print()
+
+
 def _print_stage(report: Report, console: Console, *, verbose: bool) -> None:
     """Print why tissues were left alone; with `verbose` also what was done to the others."""
     tissues = left_alone(report)
-    if verbose:
+    if verbose and "tetmesh" not in report:
         tissues += [tissue for tissue in report["tissues"] if tissue.get("status") == "changed"]
     for tissue in tissues:
         _print_words(console, f"{text.visible(tissue['name'])}: {stage_words(tissue)}")

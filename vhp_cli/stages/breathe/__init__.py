@@ -1,0 +1,1 @@
+"""Respiratory motion of a torso model: sequences of motions, their fit, their proof and their scripts."""
