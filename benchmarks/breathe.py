@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
+import os
 import subprocess
 import sys
 import tempfile
@@ -31,24 +31,24 @@ def run(model: Path, out: Path, frames: int | None) -> Row:
     command = [sys.executable, "-m", "vhp_cli", "--quiet", "breathe", str(model), "-o", str(out), "--no-cache"]
     if frames is not None:
         command += ["--frames", str(frames)]
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     started = time.perf_counter()
-    done = subprocess.run(command, check=False, cwd=models.REPOSITORY)
+    child = subprocess.Popen(command, cwd=models.REPOSITORY)
+    _, status, usage = os.wait4(child.pid, 0)
+    child.returncode = os.waitstatus_to_exitcode(status)
     seconds = time.perf_counter() - started
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     report = json.loads((out / "report.json").read_text())
     section, steps = report["breathe"], report["run"]["seconds"]
     return {
         "triangles": report["summary"]["triangles"],
         "tissues": report["summary"]["tissues"],
         "frames": len(section["frames"]),
-        "exit": done.returncode,
+        "exit": child.returncode,
         "total s": round(seconds, 1),
         "fit s": round(steps["fit"], 1),
         "proof s": round(steps["proof"], 1),
         "frames s": round(steps["frames"], 1),
-        "cpu s": round(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, 1),
-        "memory MB": round(after.ru_maxrss / 1024),
+        "cpu s": round(usage.ru_utime + usage.ru_stime, 1),
+        "memory MB": round(usage.ru_maxrss / 1024),
         "pairs": section["proof"]["pairs"],
         "intervals": section["proof"]["intervals"],
         "unproven": len(section["proof"]["unproven"]),
@@ -77,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             rows.append(run(model, Path(folder, f"out-{number}"), frames))
     for part in (rows[: len(chosen.triangles)], rows[len(chosen.triangles) :]):
         if part:
-            print(table(list(part[0]), [list(row.values()) for row in part]))
+            print(table(list(part[0]), [[str(value) for value in row.values()] for row in part]))
             print()
     if chosen.json:
         chosen.json.write_text(json.dumps(rows, indent=2) + "\n")

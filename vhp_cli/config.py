@@ -20,7 +20,7 @@ from vhp_cli.tissues import guess_type, type_names
 UNITS = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "in": 25.4, "m": 1000.0}
 LEVELS: tuple[str, ...] = get_args(Level)
 # Stages with a section of their own. The values are those of the stage, which checks them when it runs.
-STAGES = ("heal", "smooth", "decimate")
+STAGES = ("heal", "smooth", "decimate", "breathe", "tetmesh", "clearance")
 
 # What a section says, by stage and key.
 StageTables = Mapping[str, Mapping[str, object]]

@@ -247,6 +247,253 @@ class Summary(TypedDict):
     status: NotRequired[dict[str, int]]  # after a stage: tissues by status
 
 
+class TetrahedronShape(TypedDict):
+    """Shape of tetrahedra; see `vhp_cli.inspection.tetrahedra`."""
+
+    min_dihedral_deg: float
+    min_dihedral_p01_deg: float  # 1 % of the tetrahedra have a smaller least angle
+    max_dihedral_deg: float
+    radius_ratio_min: float
+    radius_ratio_p01: float
+    radius_ratio_p05: float
+    radius_ratio_p50: float
+    scaled_jacobian_min: float
+    inverted: int  # with no positive volume
+    mean_edge_mm: float
+
+
+class LabelBoundary(TypedDict):
+    """The surface of a label in the tetrahedral mesh."""
+
+    triangles: int
+    area_mm2: float
+    nonmanifold_edges: int
+    nonmanifold_vertices: int
+
+
+class TetmeshLabel(TypedDict):
+    """One tissue in the tetrahedral mesh."""
+
+    name: str
+    label: int
+    tets: int
+    volume_mm3: float
+    surface_volume_mm3: float  # within its surface and outside of the tissues in it
+    surface_volume_exact: bool  # False: estimated, as surfaces are open or overlap
+    enclosed_mm3: float  # of all tetrahedra within its surface, whichever tissue they belong to
+    surface_enclosed_mm3: float  # within its surface
+    volume_error: float | None  # of the first where it is exact, else of the second; None: neither is defined
+    parts: int  # connected by faces
+    expected_parts: int | None  # None: can't be told from the surfaces
+    boundary: LabelBoundary | None
+    quality: TetrahedronShape | None
+    relabelled_tets: int  # given to this label when crumbs and non-manifold edges were tidied
+    defects: list[str]  # rules that its input surface breaks
+    file: NotRequired[str]  # of its own mesh, with one for each tissue
+    surface_file: NotRequired[str]
+
+
+class TetmeshInterface(TypedDict):
+    """The common surface of two labels."""
+
+    a: str
+    b: str  # empty: what is outside of the mesh
+    area_mm2: float
+    triangles: int
+
+
+class TetmeshAttempt(TypedDict):
+    """One call of the mesher."""
+
+    tissue: str  # empty: all together
+    edge_length_mm: float
+    epsilon_mm: float
+    stop_energy: float
+    iterations: int
+    coarsen: bool
+    tets: int | None  # None: it failed
+    min_dihedral_deg: float | None
+    radius_ratio_p01: float | None
+    failure: str
+    chosen: bool
+
+
+class TetmeshOverlap(TypedDict):
+    """Two tissues that overlap and do not lie in each other."""
+
+    a: str
+    b: str
+    overlap_mm3: float  # 0: not known
+    winner: str  # the one that got the common volume
+
+
+class TetmeshInput(TypedDict):
+    """What the gate says of the surfaces that were meshed."""
+
+    passed: bool
+    errors: int
+    warnings: int
+    notes: int
+    counts: dict[str, int]
+    findings: list[Finding]
+
+
+class Tetmesh(TypedDict):
+    """The tetrahedral mesh of a model."""
+
+    engine: str
+    reproducible: bool  # whether the engine gives the same mesh twice
+    per_tissue: bool
+    tets: int
+    points: int
+    edge_length_mm: float | None  # None: there is no mesh
+    epsilon_mm: float | None
+    epsilon_reason: str
+    labels: list[TetmeshLabel]
+    air: TetmeshLabel | None
+    quality: TetrahedronShape | None  # of all tissues, air left out
+    conforming: bool
+    nonconforming: dict[str, int]  # by what is wrong
+    interfaces: list[TetmeshInterface]
+    attempts: list[TetmeshAttempt]
+    overlaps: list[TetmeshOverlap]
+    notes: list[str]  # on what was done
+    relaxed: list[str]  # how the mesh falls short of what was asked for
+    files: list[str]
+    input: TetmeshInput
+
+
+class BreathSpread(TypedDict):
+    """Largest and mean value."""
+
+    max: float
+    mean: float
+
+
+class BreathTissueFrame(TypedDict):
+    """What became of a tissue in one frame."""
+
+    displacement_mm: BreathSpread  # of its vertices from rest
+    volume_mm3: float | None  # None: the surface is open
+    min_q: float
+    mean_q: float
+
+
+class BreathContact(TypedDict):
+    """Two tissues that meet, or come nearer than they may."""
+
+    a: str
+    b: str
+    x: float
+    crossing_faces: int  # 0 of a pair that is apart, or of which one lies within the other
+    overlap_mm3: float | None
+    gap_mm: float
+    xyz_mm: Point
+
+
+class BreathFrame(TypedDict):
+    """One frame of a breath, as written."""
+
+    index: int
+    x: float  # sweep variable, 0 to N
+    time_over_T: float
+    directory: str
+    passed: bool
+    reasons: list[str]  # why it was rejected
+    lung_volume_l: float
+    diaphragm_travel_mm: float
+    mass_kg: float
+    mass_change: float  # as a share of the mass at rest
+    crossings: int  # pairs of tissues
+    contacts: list[BreathContact]
+    min_gap_mm: float | None  # None: above the search limit
+    min_gap_pair: list[str] | None
+    gaps_below_limit: int
+    tissues: dict[str, BreathTissueFrame]  # those that move
+
+
+class BreathProof(TypedDict):
+    """What is proven of all moments between the frames."""
+
+    pairs: int
+    far_pairs: int  # further apart than both ever travel
+    intervals: int
+    least_gap_mm: float | None  # a lower bound at every moment
+    unproven: list[dict[str, object]]
+    excused: list[list[str]]  # in contact at rest
+
+
+class Breathe(TypedDict):
+    """A breathing model."""
+
+    passed: bool
+    frames: list[BreathFrame]
+    limits: dict[str, object]
+    sequence: dict[str, object]
+    axes: dict[str, object]
+    roles: dict[str, str]
+    motions: dict[str, str]  # of the tissues that move: by what
+    lungs: dict[str, object]
+    rib_angles_deg: dict[str, list[float]]  # by number: lift and spread at full inhalation
+    mass: dict[str, object]
+    rest_contacts: list[dict[str, object]]
+    proof: BreathProof
+    infeasible: list[dict[str, object]]  # where the fit found no room
+    notes: list[str]
+
+
+class ClearanceState(TypedDict):
+    """How two tissues lie to each other at one time."""
+
+    relation: Relation
+    min_gap_mm: float | None  # None: above the search limit
+    overlap_mm3: float
+
+
+class ClearancePair(TypedDict):
+    """Two tissues that were, or are, closer than they should be."""
+
+    a: str
+    b: str
+    kind: Literal["apart", "nested", "conflict", "identical", "kept"]
+    inner: str  # of a nested pair
+    winner: str  # of a conflict
+    gap_mm: float  # that was asked for
+    share: float  # by which a gives way; b gives way by the rest
+    before: ClearanceState
+    after: ClearanceState
+    reached: bool
+    reason: str  # why not, or what the conflict is
+    places: list[Place]  # where the two are nearest, if that is too near
+
+
+class ClearanceTissue(TypedDict):
+    """How a tissue was deformed."""
+
+    name: str
+    yielding: float
+    fixed: bool
+    status: str
+    level: int  # how often it was done anew, more finely
+    max_mm: float
+    mean_mm: float
+    xyz_mm: Point | None  # where it is farthest from where it was
+    volume_change: float | None
+
+
+class Clearance(TypedDict):
+    """What came of taking tissues apart."""
+
+    pairs: list[ClearancePair]
+    tissues: list[ClearanceTissue]  # those that had to change
+    close_before: int
+    close_after: int
+    crossing_before: int
+    crossing_after: int
+    unreached: list[ClearancePair]
+    conflicts: list[str]
+
+
 class Report(TypedDict):
     """The whole report; `run` is the only part that may differ between two runs on the same input."""
 
@@ -261,3 +508,6 @@ class Report(TypedDict):
     nesting: dict[str, str | None]  # tissue -> the smallest tissue that contains it
     findings: list[Finding]
     run: dict[str, object]
+    tetmesh: NotRequired[Tetmesh]
+    breathe: NotRequired[Breathe]
+    clearance: NotRequired[Clearance]

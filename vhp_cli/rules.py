@@ -605,6 +605,286 @@ _TABLE = (
         example="A lung lies in a thorax shell that is open at the neck.",
         fix="Close the outer surface (see T001) and check again.",
     ),
+    Rule(
+        "M001",
+        "label-lost",
+        "error",
+        "A tissue has no tetrahedra.",
+        why=(
+            "The tissue is missing from the simulation, and its place is taken by what lies around it, without a word "
+            "from the solver."
+        ),
+        example=(
+            "A thin capsule within the envelope of the mesher, a surface whose faces are stored twice in opposite "
+            "directions, or a copy of another tissue."
+        ),
+        fix="Look at the surface with vhp check, heal it, and mesh again with a smaller --epsilon and edge length.",
+    ),
+    Rule(
+        "M002",
+        "label-volume",
+        "error",
+        "The volume of a label is far from that of its surface.",
+        why=(
+            "Mass, losses and absorbed power scale with the volume of a tissue; a solver has no way to see that the "
+            "mesh holds less of it than the model."
+        ),
+        example="A wall thinner than twice the envelope collapsed, or an open surface let a tissue run out.",
+        fix="Mesh with a smaller --epsilon or edge length for the tissue, and heal its surface first if it is open.",
+        limit=0.05,
+    ),
+    Rule(
+        "M003",
+        "label-volume-drift",
+        "warning",
+        "The volume of a label differs from that of its surface.",
+        why="A per cent of volume is a per cent of mass and of absorbed power, more than most solvers err by.",
+        example="A thin vessel was meshed with edges as long as its diameter.",
+        fix="Mesh with shorter edges or a smaller --epsilon; vhp.toml takes both a length for a tissue and this limit.",
+        limit=0.01,
+    ),
+    Rule(
+        "M004",
+        "inverted-tetrahedron",
+        "error",
+        "A tetrahedron has no positive volume.",
+        why=(
+            "The Jacobian of the element is zero or negative: the stiffness matrix is singular or indefinite, and the "
+            "solver stops or returns nonsense."
+        ),
+        example="A mesh was smoothed without a guard, or its corners are in the order of another program.",
+        fix="Mesh again; if it comes back, heal the surfaces at the places listed.",
+    ),
+    Rule(
+        "M005",
+        "small-dihedral-angle",
+        "warning",
+        "A tetrahedron has a dihedral angle below the limit.",
+        why=(
+            "The condition of the stiffness matrix worsens and gradients lose accuracy as angles go to 0 or 180 "
+            "degrees; one bad element is enough for an explicit solver's time step."
+        ),
+        example="Two surfaces at a very small angle, or a mesh made under a time limit.",
+        fix="Mesh with a lower --stop-energy or more --attempts; separate or smooth the surfaces at the places listed.",
+        limit=10,
+        unit="deg",
+    ),
+    Rule(
+        "M006",
+        "low-radius-ratio",
+        "warning",
+        "More than 1 % of the tetrahedra of a tissue have a radius ratio below the limit.",
+        why=(
+            "The radius ratio, 3 r_in / r_out, bounds the error of linear elements: if many are flat, results are wrong "
+            "over a region, not only in a point."
+        ),
+        example="A layer much thinner than the edge length was filled with one row of flat tetrahedra.",
+        fix="Mesh with shorter edges in the tissue, or with a lower --stop-energy.",
+        limit=0.35,
+    ),
+    Rule(
+        "M007",
+        "sliver-tetrahedron",
+        "error",
+        "A tetrahedron is almost flat: its scaled Jacobian is below the limit.",
+        why="Many solvers refuse elements so flat, and none gives a result to be trusted in them.",
+        example="Four points near a great circle of their circumsphere, at a surface that had to be kept exactly.",
+        fix="Mesh without --keep-surface, or remesh the surface at the places listed with vhp heal.",
+        limit=0.01,
+    ),
+    Rule(
+        "M008",
+        "non-conforming",
+        "error",
+        "Tetrahedra do not share whole faces.",
+        why=(
+            "Where a point lies within a neighbour's face, or tetrahedra overlap, the solution is torn or counted "
+            "twice, and most solvers read the crack as an outer wall."
+        ),
+        example="Tissues that were meshed one by one and joined by a script.",
+        fix="Mesh all tissues together, that is without --per-tissue.",
+    ),
+    Rule(
+        "M009",
+        "pinched-label-edge",
+        "warning",
+        "The boundary of a label is no 2-manifold: more than two of its triangles meet at an edge.",
+        why=(
+            "The volume mesh is sound, but the surface of the tissue can't be used as such, for contact, for boundary "
+            "conditions or in a CAD kernel."
+        ),
+        example="Two parts of a tissue that touch along an edge where its surface crosses itself.",
+        fix="Heal the surface at the places listed, or mesh with a smaller --epsilon.",
+    ),
+    Rule(
+        "M010",
+        "pinched-label-point",
+        "note",
+        "The boundary of a label pinches to a point.",
+        why=(
+            "A FEM solver does not mind; whoever takes the surface of the label out of the mesh has to split the point."
+        ),
+        example="Two parts of a tissue that touch in one point of the mesh.",
+        fix="Nothing needs to be done for a solver on tetrahedra; heal the surface if its boundary is to be used.",
+    ),
+    Rule(
+        "M011",
+        "label-parts",
+        "warning",
+        "A label has more or fewer connected parts than its surface encloses.",
+        why=(
+            "A vessel that is cut carries no current, and two parts that have merged carry one that does not exist."
+        ),
+        example="A nerve thinner than the envelope broke into pieces.",
+        fix="Mesh with a smaller --epsilon, or a shorter edge length in the tissue.",
+    ),
+    Rule(
+        "M012",
+        "defective-surface",
+        "warning",
+        "The surface of a tissue is defective, so that its inside had to be estimated.",
+        why=(
+            "Where a surface is open or crosses itself, winding numbers say what is most likely inside; the border of "
+            "the tissue near the defect is a guess."
+        ),
+        example="An organ that was cut off by the border of the scan was meshed as it is.",
+        fix="Run vhp heal on the model first, and mesh the result.",
+    ),
+    Rule(
+        "M013",
+        "overlap-shared-out",
+        "warning",
+        "Two tissues overlap, and the common volume went to one of them.",
+        why="Which material fills the overlap was decided by a rule, not by anatomy.",
+        example="Liver and kidney of one segmentation cross by a millimetre.",
+        fix=(
+            "Separate the two with vhp heal --clearance, or say with priority under [[tissue]] in vhp.toml which one "
+            "gets the volume."
+        ),
+    ),
+    Rule(
+        "M014",
+        "limits-relaxed",
+        "warning",
+        "The mesh was made with other settings than asked for, or keeps a limit that was set no more.",
+        why="A mesh that a time limit made coarser may be too coarse for its purpose.",
+        example="The first attempt ran out of time, and the second was made with longer edges and lower demands.",
+        fix="Give more time or memory, longer edges, or a larger --epsilon; vhp decimate makes surfaces lighter.",
+    ),
+    Rule(
+        "B001",
+        "breathing-crossing",
+        "error",
+        "Two tissues cross or touch in a frame, and do not at rest.",
+        why="A solver refuses a frame with crossing tissues, or fills the common volume with either of two materials.",
+        example="A lung that grows into a rib which does not make room for it.",
+        fix=(
+            "Ask for a smaller volume change or travel, move the lungs less forward, or give the tissue that is in the "
+            "way a role that lets it move (breathe = { role = ... } in vhp.toml)."
+        ),
+    ),
+    Rule(
+        "B002",
+        "breathing-gap",
+        "error",
+        "Two tissues come closer in a frame than the limit, and than at rest.",
+        why="A gap below what the mesher resolves closes at some frame, and that frame fails as if tissues crossed.",
+        example="The stomach is pushed to within 0.4 mm of the left kidney at full inhalation.",
+        fix="Set the gap that the solver needs with --gap, or ask for a smaller breath.",
+    ),
+    Rule(
+        "B003",
+        "breathing-unproven",
+        "error",
+        "It is not proven that two tissues stay apart between the frames.",
+        why=(
+            "Frames are samples: two tissues that slide past each other fast and closely may cross between two that "
+            "pass, and a sweep at other times would fail."
+        ),
+        example="Two surfaces 0.001 mm apart that move by millimetres.",
+        fix="Heal the model with a clearance, or ask for a larger --gap, so that gaps exceed the bounds of travel.",
+    ),
+    Rule(
+        "B004",
+        "lung-volume",
+        "error",
+        "The lungs do not gain the volume that was asked for.",
+        why="The volume is what the breath is defined by; another one is another experiment.",
+        example="The published sequence played on other lungs than those that it was made for.",
+        fix="Fit the sequence to this model, or state the targets of the sequence that is played.",
+    ),
+    Rule(
+        "B005",
+        "diaphragm-travel",
+        "error",
+        "The lungs' lowest point does not travel as far as was asked for.",
+        why="The travel of the diaphragm is what the breath is defined by, beside the volume.",
+        example="The published sequence played on lungs of another height.",
+        fix="Fit the sequence to this model, or state the targets of the sequence that is played.",
+    ),
+    Rule(
+        "B006",
+        "breathing-mass",
+        "error",
+        "The mass of the model changes with breath by more than the limit.",
+        why="A body that gains tissue as it breathes in absorbs more; the change is then of the model, not of breathing.",
+        example="Lungs that grow by 0.3 l within a skin that stays.",
+        fix="Fit the shells anew, check the densities and the convention for the lungs, or set --mass-tolerance.",
+    ),
+    Rule(
+        "B007",
+        "bone-deformed",
+        "error",
+        "A bone changes its shape with breath.",
+        why="Bones are rigid; one that is scaled gains or loses mass and no longer fits its neighbours.",
+        example="A sequence that scales a rib.",
+        fix="Move bones by rotations and translations alone.",
+    ),
+    Rule(
+        "B008",
+        "rest-contact-worse",
+        "error",
+        "Two tissues that are in contact at rest have more volume in common in a frame.",
+        why="What is wrong with the model at rest must not grow with breath.",
+        example="A costal cartilage that overlaps its rib by 2 mm3 at rest and by 9 mm3 at full inhalation.",
+        fix="Heal the model with a clearance first.",
+    ),
+    Rule(
+        "B009",
+        "moved-at-rest",
+        "error",
+        "The sequence moves tissues at t = 0.",
+        why="The first frame is then not the model, and all differences to it count twice.",
+        example="A polynomial with a constant that is not the identity, as printed for rib 1.",
+        fix="Play the recommended readings, or pin the curves to the identity at t = 0.",
+    ),
+    Rule(
+        "B010",
+        "vertices-joined",
+        "error",
+        "Vertices of a tissue fall together in a frame when its coordinates are rounded.",
+        why="The frame then has other topology than the model, and collapsed triangles.",
+        example="A mesh with edges of a nanometre, written as STL with float32 coordinates.",
+        fix="Decimate or heal the tissue, or keep the model in PLY, which holds all digits.",
+    ),
+    Rule(
+        "B011",
+        "rest-contact",
+        "warning",
+        "Two tissues are in contact at rest.",
+        why="Nothing can be proven of a pair that is in contact already; it is only watched for not getting worse.",
+        example="A rib and its cartilage that were segmented as neighbours.",
+        fix="vhp heal --clearance separates tissues.",
+    ),
+    Rule(
+        "B012",
+        "density-unknown",
+        "note",
+        "The density of a tissue is not known; that of muscle is taken.",
+        why="The mass of the model is as good as the densities.",
+        example="A tissue named tissue_17.",
+        fix='State it in vhp.toml: [[tissue]] match = "tissue_17" breathe = { density = 1050 }.',
+    ),
 )
 
 RULES: dict[str, Rule] = {rule.code: rule for rule in _TABLE}

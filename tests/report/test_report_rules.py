@@ -33,7 +33,7 @@ def test_every_family_has_a_title() -> None:
 
 @pytest.mark.parametrize("rule", RULES.values(), ids=lambda rule: rule.code)
 def test_every_rule_is_explained(rule: Rule) -> None:
-    assert re.fullmatch(r"[FTXQP]\d{3}", rule.code)
+    assert re.fullmatch(r"[FTXQPMB]\d{3}", rule.code)
     assert re.fullmatch(r"[a-z]+(-[a-z]+)*", rule.name)
     for words in (rule.summary, rule.why, rule.example, rule.fix):
         assert words.endswith(".")

@@ -10,6 +10,7 @@ import click
 
 from vhp_cli.commands.options import judging_options, model_options, report_options, stage_options, worker_options
 from vhp_cli.commands.staging import Shared, run_staged
+from vhp_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from vhp_cli.config import Settings
@@ -17,6 +18,11 @@ if TYPE_CHECKING:
 
 TARGET = "vhp_cli.stages.heal:heal"
 _LENGTH = click.FloatRange(min=0, min_open=True)
+
+
+def _gap(ctx: click.Context, parameter: click.Parameter, value: str | None) -> float | None:
+    """Return the gap asked for; 0 if no number was given, None without the option."""
+    return None if value is None else 0.0 if not value else float(_LENGTH(value, parameter, ctx))
 
 
 @click.command()
@@ -44,6 +50,14 @@ _LENGTH = click.FloatRange(min=0, min_open=True)
 @click.option("--min-component", type=_LENGTH, metavar="MM", help="Remove separate parts smaller than this.")
 @click.option("--only-topology", is_flag=True, help="Close, orient and resolve; leave the shape of triangles alone.")
 @click.option("--thicken", type=_LENGTH, metavar="MM", help="Make open sheets solids of this thickness.")
+@click.option(
+    "--clearance",
+    is_flag=False,
+    flag_value="",
+    metavar="[GAP]",
+    callback=_gap,
+    help="Then take tissues apart as `vhp separate` does, to a gap of so many mm (--clearance=0.5). [default: --gap]",
+)
 @judging_options
 @report_options
 @worker_options
@@ -59,6 +73,7 @@ def heal(
     min_component: float | None,
     only_topology: bool,
     thicken: float | None,
+    clearance: float | None,
     **shared: Any,
 ) -> None:
     """Heal a model: close holes, resolve self-intersections, turn faces outward, improve triangles.
@@ -71,6 +86,10 @@ def heal(
     Exit code: 0 the result passed, 1 errors remain, 2 wrong usage or nothing readable, 3 a tissue could not be
     processed.
     """
+    if clearance:
+        if shared["gap"] not in (None, clearance):
+            raise UsageError(f"--clearance {clearance:g} and --gap {shared['gap']:g} contradict each other")
+        shared["gap"] = clearance
     request = Shared(**shared)
     flags = {
         "max-deviation": max_deviation,
@@ -88,7 +107,20 @@ def heal(
 
     from vhp_cli.pipeline.stage import Stage
 
-    run_staged(ctx, Stage("heal", TARGET, options_of, options.as_dict(), most_gentle=2), settings, request)
+    stage = Stage("heal", TARGET, options_of, options.as_dict(), most_gentle=2)
+    if clearance is None:
+        run_staged(ctx, stage, settings, request)
+        return
+
+    from vhp_cli.commands.separate import clearance_options
+    from vhp_cli.pipeline.healed_clearance import heal_and_separate
+
+    apart = clearance_options(settings, {})
+
+    def run(model: Any, out: Any, stage: Stage, settings: Settings, **how: Any) -> Any:
+        return heal_and_separate(model, out, stage, apart, settings, **how)
+
+    run_staged(ctx, stage, settings, request, run=run)
 
 
 def _options(settings: Settings, flags: Mapping[str, object]) -> tuple[HealOptions, Callable[[str], HealOptions]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,6 +24,7 @@ from vhp_cli.commands.common import (
 if TYPE_CHECKING:
     from vhp_cli.config import Settings
     from vhp_cli.pipeline.stage import Stage
+    from vhp_cli.pipeline.staged import Staged
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +72,13 @@ class Shared:
         )
 
 
-def run_staged(ctx: click.Context, stage: Stage, settings: Settings, request: Shared) -> None:
-    """Run a stage over a model, report on the result, and end with its exit code."""
+def run_staged(
+    ctx: click.Context, stage: Stage, settings: Settings, request: Shared, *, run: Callable[..., Staged] | None = None
+) -> None:
+    """Run a stage over a model, report on the result, and end with its exit code.
+
+    `run` takes the place of `vhp_cli.pipeline.staged.run_and_check`.
+    """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
     from vhp_cli.model import find_model
@@ -99,7 +106,7 @@ def run_staged(ctx: click.Context, stage: Stage, settings: Settings, request: Sh
     from vhp_cli.pipeline.staged import run_and_check
 
     with ProgressBar(quiet=talk.get("quiet", False)) as progress:
-        done = run_and_check(
+        done = (run or run_and_check)(
             found,
             output,
             stage,

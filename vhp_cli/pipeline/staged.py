@@ -80,14 +80,14 @@ def run_and_check(
         if not soften:
             break
         overwrite = False
-    report["run"] = _run_facts(
+    report["run"] = run_facts(
         before.report, after.report, run.entries, stage.command, seconds, reused, limits or Limits()
     )
     failed = after.failed or any(entry.status == "failed" for entry in run.entries)
     return Staged(report, failed, reused)
 
 
-def _run_facts(
+def run_facts(
     before: Report, after: Report, entries: Sequence[Entry], command: str, seconds: float, reused: int, limits: Limits
 ) -> dict[str, object]:
     """Return times and facts of the machine, those of both checks together."""

@@ -1,0 +1,166 @@
+"""What two tissues are to each other: beside each other, one inside the other, or one and the same labelled twice."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from vhp_cli.config import PairPattern, Settings
+from vhp_cli.gate import GAP_ROUNDING
+from vhp_cli.measures import PairRecord, TissueRecord
+from vhp_cli.stages.clearance.options import ClearanceOptions
+from vhp_cli.stages.clearance.stiffness import Stiffness, share_of
+
+Kind = Literal["apart", "nested", "conflict", "identical", "kept"]
+
+# The gap of two tissues that may touch, where they cross.
+TOUCHING_MM = 0.05
+# A gap that the settings leave at nothing is still one that float32 coordinates tell.
+_LEAST_GAP_MM = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Pairing:
+    """How two tissues are to lie to each other.
+
+    Parameters
+    ----------
+    a, b
+        Their names.
+    kind
+        ``"apart"``: beside each other; ``"nested"``: `inner` inside the other one; ``"conflict"``: they share so much
+        that `winner` takes it all; ``"identical"``: both are the same surface; ``"kept"``: nothing can be done.
+    gap_mm
+        The gap to keep.
+    close
+        Whether they are nearer than that now, or in contact, or not nested as they should be.
+    share
+        By which `a` gives way, 0 to 1.
+    inner
+        The inner one of a nested pair; else empty.
+    winner
+        Of a conflict; else empty.
+    reason
+        Why nothing can be done, or what the conflict is; else empty.
+    may_touch
+        Whether they may touch and come as near as they like, but not cross.
+    """
+
+    a: str
+    b: str
+    kind: Kind
+    gap_mm: float
+    close: bool
+    share: float = 0.5
+    inner: str = ""
+    winner: str = ""
+    reason: str = ""
+    may_touch: bool = False
+
+    @property
+    def outer(self) -> str:
+        """The outer one of a nested pair; else empty."""
+        return "" if not self.inner else self.b if self.inner == self.a else self.a
+
+    def other(self, name: str) -> str:
+        """Return the other one."""
+        return self.b if name == self.a else self.a
+
+    def share_of(self, name: str) -> float:
+        """Return by which share one of them gives way."""
+        return self.share if name == self.a else 1 - self.share
+
+
+def pairing(
+    pair: PairRecord,
+    tissues: Mapping[str, TissueRecord],
+    stiffness: Mapping[str, Stiffness],
+    settings: Settings,
+    options: ClearanceOptions,
+) -> Pairing:
+    """Decide how two tissues are to lie to each other, by their given surfaces.
+
+    Parameters
+    ----------
+    pair
+        What was measured between them.
+    tissues, stiffness
+        Of the model, by name.
+    settings
+        Declared pairs, and the gaps asked for.
+    options
+        From which share of common volume on a pair is nested, or a conflict.
+    """
+    a, b = pair["a"], pair["b"]
+    gap = gap_of(a, b, settings)
+    touching_allowed = any(_either(pattern, a, b) for pattern in settings.may_touch)
+    if touching_allowed:
+        gap = min(gap, TOUCHING_MM)
+        close = pair["relation"] in ("crossing", "identical")
+    else:
+        contact = pair["relation"] in ("touching", "crossing", "identical")
+        close = contact or (pair["min_gap_mm"] is not None and pair["min_gap_mm"] < gap * (1 - GAP_ROUNDING))
+    found = Pairing(a, b, "apart", gap, close, may_touch=touching_allowed)
+    if pair["relation"] == "identical":
+        return replace(found, kind="identical", reason="both are the same surface: remove one of the two")
+    if stiffness[a].fixed and stiffness[b].fixed:
+        return replace(found, kind="kept", reason="both are fixed")
+    shares = {name: _overlap_share(pair, tissues[name]) for name in (a, b)}
+    if inner := _inner(pair, shares, settings, options):
+        close = close or not pair["inside"]
+        return replace(found, kind="nested", close=close, inner=inner, share=_nested_share(found, inner, stiffness))
+    if max(shares.values()) >= options.conflict_share:
+        return _conflict(found, shares, tissues, stiffness)
+    if stiffness[a].rigid and stiffness[b].rigid and options.rigid_pairs == "keep":
+        return replace(found, kind="kept", reason="both are rigid")
+    return replace(found, share=share_of(stiffness[a], stiffness[b], thin_mm=options.thin_mm))
+
+
+def gap_of(a: str, b: str, settings: Settings) -> float:
+    """Return the gap that two tissues have to keep: the limit of P005."""
+    return max(settings.rule("P005", a, b).limit or 0.0, _LEAST_GAP_MM)
+
+
+def _overlap_share(pair: PairRecord, tissue: TissueRecord) -> float:
+    volume = abs(tissue["volume_mm3"])
+    return pair["overlap_mm3"] / volume if tissue["closed"] and volume > 0 else 0.0
+
+
+def _inner(pair: PairRecord, shares: Mapping[str, float], settings: Settings, options: ClearanceOptions) -> str:
+    """Return which one lies, or was meant to lie, inside the other; empty if none does."""
+    a, b = pair["a"], pair["b"]
+    for first, second in ((a, b), (b, a)):
+        if any(pattern.matches(first, second) for pattern in settings.nested):
+            return first
+    if pair["inside"]:
+        return a if pair["inside"] == "a" else b
+    most = max((a, b), key=lambda name: shares[name])
+    return most if shares[most] >= options.nested_share and shares[a] != shares[b] else ""
+
+
+def _nested_share(found: Pairing, inner: str, stiffness: Mapping[str, Stiffness]) -> float:
+    """Return the share of the first one: the inner one gives way, unless it is rigid and the outer one is not."""
+    within, around = stiffness[inner], stiffness[found.other(inner)]
+    stays = within.fixed or (within.rigid and not around.rigid)
+    return 0.0 if stays == (inner == found.a) else 1.0
+
+
+def _conflict(
+    found: Pairing, shares: Mapping[str, float], tissues: Mapping[str, TissueRecord], stiffness: Mapping[str, Stiffness]
+) -> Pairing:
+    """Decide who keeps the common volume: the stiffer one, else the smaller one."""
+    a, b = found.a, found.b
+
+    def rank(name: str) -> tuple[bool, float, float, str]:
+        return (not stiffness[name].fixed, stiffness[name].yielding, abs(tissues[name]["volume_mm3"]), name)
+
+    winner = min((a, b), key=rank)
+    loser = found.other(winner)
+    most = max((a, b), key=lambda name: shares[name])
+    reason = f"{shares[most]:.0%} of {most} has the label of the other too; {winner} keeps it, {loser} loses it"
+    return replace(found, kind="conflict", share=0.0 if winner == a else 1.0, winner=winner, reason=reason)
+
+
+def _either(pattern: PairPattern, a: str, b: str) -> bool:
+    return pattern.matches(a, b) or pattern.matches(b, a)
