@@ -17,6 +17,7 @@ from vhp_cli.formats import read_mesh, write_mesh
 from vhp_cli.kernels.spatial import Tree, gap
 from vhp_cli.mesh import Mesh
 from vhp_cli.phantom import generate, plant_defects
+from vhp_cli.pipeline import clearance
 
 
 def run(*arguments) -> tuple[int, dict]:
@@ -275,7 +276,7 @@ def test_planted_contacts_are_gone(tmp_path, seed):
         assert record["introduced"] == []
         if record["tissue_type"] == "bone":
             assert record["status"] == "unchanged"
-    before = {name: parent for name, parent in report["nesting"].items()}
+    before = dict(report["nesting"].items())
     assert before == nesting_of(model)
 
 
@@ -289,3 +290,27 @@ def nesting_of(model) -> dict:
     for name, mesh in sound.items():
         write_mesh(model / f"{name}.stl", mesh)
     return check_model(find_model([model]), load_settings()).report["nesting"]
+
+
+def test_what_fails_when_done_more_finely_stays_as_it_was(tmp_path, out, monkeypatch):
+    monkeypatch.setattr(clearance, "TARGET", "clearance_targets:only_coarse")
+    model = written(tmp_path / "pair", {"spleen": sphere(12, subdivisions=3), "kidney": sphere(12, (23, 0, 0), 3)})
+    code, report = run(model, "-o", out)
+    assert code == 1 and 0.8 <= distance(out, "spleen", "kidney") < 1.0
+    (pair,) = report["clearance"]["unreached"]
+    assert "no finer" in pair["reason"]
+    for record in report["tissues"]:
+        assert record["status"] == "changed" and record["actions"][0]["step"] == "move"
+    assert {one["level"] for one in report["clearance"]["tissues"]} == {1}
+
+
+def test_others_give_way_for_what_does_not_but_bone_never(tmp_path, out, monkeypatch):
+    monkeypatch.setattr(clearance, "TARGET", "clearance_targets:stubborn_spleen")
+    tissues = {"spleen": sphere(12, subdivisions=3), "kidney": sphere(12, (23, 0, 0), 3)}
+    code, report = run(written(tmp_path / "pair", tissues), "-o", out)
+    assert code == 0 and distance(out, "spleen", "kidney") >= 1.0
+    assert tissue(report, "spleen")["status"] == "refused" and tissue(report, "kidney")["status"] == "changed"
+    tissues = {"spleen": sphere(12, subdivisions=3), "rib_1": sphere(12, (23, 0, 0), 3)}
+    code, report = run(written(tmp_path / "bone", tissues), "-o", out, "--overwrite")
+    assert code == 1 and meshes(out)["rib_1.stl"] == meshes(tmp_path / "bone")["rib_1.stl"]
+    assert "stubborn" in report["clearance"]["unreached"][0]["reason"]

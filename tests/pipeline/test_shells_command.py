@@ -34,7 +34,8 @@ def test_three_shells_that_pass(skin, out):
 
 def test_maps_and_arrays(skin, out, tmp_path):
     (tmp_path / "fat.toml").write_text(
-        'age = "30-39"\n[[point]]\nplace = "Lateral Arm"\nxyz = [15, 0, 0]\n[[point]]\nthickness = 3\nxyz = [-15, 0, 0]\n'
+        'age = "30-39"\n[[point]]\nplace = "Lateral Arm"\nxyz = [15, 0, 0]\n'
+        "[[point]]\nthickness = 3\nxyz = [-15, 0, 0]\n"
     )
     assert main(["-q", "shells", str(skin), "-o", str(out), "--fat", str(tmp_path / "fat.toml")]) == 0
     np.save(tmp_path / "fat.npy", np.full(1280, 2.5))

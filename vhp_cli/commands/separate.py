@@ -26,7 +26,7 @@ _LENGTH = click.FloatRange(min=0, min_open=True)
     type=click.Choice(["auto", "move", "cut"]),
     help="Move vertices and keep the triangles, or cut; auto: move, and cut what can't be moved. [default: auto]",
 )
-@click.option("--grid", type=_LENGTH, metavar="MM", help="Cells in which cuts are worked out. [default: 0.8 of the gap]")
+@click.option("--grid", type=_LENGTH, metavar="MM", help="Cells for cuts. [default: 0.8 of the gap]")
 @click.option("--max-move", type=click.FloatRange(min=0), metavar="MM", help="How far vertices may move. [default: 2]")
 @click.option(
     "--thin", type=click.FloatRange(min=0), metavar="MM", help="Walls thinner than this move as a whole. [default: 4.5]"

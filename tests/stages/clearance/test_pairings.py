@@ -18,7 +18,10 @@ def pair(relation="crossing", overlap=0.0, gap=0.0, inside=""):
     return {"a": "a", "b": "b", "relation": relation, "inside": inside, "min_gap_mm": gap, "overlap_mm3": overlap}
 
 
-def decided(record, *, volumes=(1000.0, 1000.0), stiffness=(Stiffness(0.6), Stiffness(0.6)), settings=None, **options):
+ORGAN = Stiffness(0.6)
+
+
+def decided(record, *, volumes=(1000.0, 1000.0), stiffness=(ORGAN, ORGAN), settings=None, **options):
     tissues = {name: {"volume_mm3": volume, "closed": True} for name, volume in zip("ab", volumes, strict=True)}
     return pairing(
         record,

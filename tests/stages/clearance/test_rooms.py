@@ -55,7 +55,7 @@ def test_an_open_surface_has_an_inside_too():
     assert not cup.closed and (values[:2] < 0).all() and (values[2:] > 0).all()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(st.floats(0, 1), st.floats(0.1, 2), st.tuples(*[st.floats(-18, 18)] * 3), st.floats(3, 12))
 def test_all_that_stays_in_its_room_keeps_the_gap(share, gap, centre, radius):
     other = sphere(radius, centre, subdivisions=2)
@@ -68,7 +68,7 @@ def test_all_that_stays_in_its_room_keeps_the_gap(share, gap, centre, radius):
         assert apart >= gap * (1 - 1e-9)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(st.floats(0.05, 1), st.floats(0.1, 2), st.floats(0, 5))
 def test_bounds_by_boxes_change_nothing_that_counts(share, gap, band):
     others = [SignedDistance(sphere(6, (13, 2, 0), 2)), SignedDistance(box((-3, -20, -3), (3, -9, 3)))]
@@ -93,4 +93,9 @@ def test_a_spike_in_the_middle_of_a_large_face_is_seen():
     assert len(points) < 3000
     assert np.abs(slab(points, (-40, -40, -5), (40, 40, 0))).max() < 1e-9
     assert np.linalg.norm(points - (13, 7, 0), axis=1).min() < 0.25
-    assert excess_of(plate, Cell(cell.own, [Bound("apart", SignedDistance(sphere(3, (0, 0, 9))), 1.0, 0.5)]), spacing_mm=0.25) < 0
+    assert (
+        excess_of(
+            plate, Cell(cell.own, [Bound("apart", SignedDistance(sphere(3, (0, 0, 9))), 1.0, 0.5)]), spacing_mm=0.25
+        )
+        < 0
+    )

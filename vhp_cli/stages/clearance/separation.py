@@ -31,7 +31,7 @@ _MOVE_MARGIN, _CUT_MARGIN, _FINISH_MARGIN, _ROUNDING_MM = 0.03, 0.06, 0.03, 2e-4
 _TOO_DEEP, _THIN_FARTHER = 1.2, 2.0
 # A thin tissue that could be moved only part of the way is cut from there if this share of the excess is left at most.
 _HELPFUL = 0.6
-_GRID_GAPS, _LEAST_GRID_MM = 0.8, 0.05
+_GRID_GAPS, _LEAST_GRID_MM, _FINER = 0.8, 0.05, 1.5
 # Points of the surface stand for parts of this size, in gaps, where it may exceed its room.
 _SPACING_GAPS = 0.25
 # Points at which a cut is looked at afterwards, and how much more than what it lacks it gets.
@@ -43,13 +43,13 @@ _MOST_LOST = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """How finely a tissue is done: each attempt has half the cells and twice the margin of the one before."""
+    """How finely a tissue is done: each attempt has smaller cells and wider margins than the one before."""
 
     level: int = 0
 
     def grid_mm(self, options: ClearanceOptions, gap_mm: float) -> float:
         """Return the edge of the cells."""
-        return float(max((options.grid_mm or _GRID_GAPS * gap_mm) / 2**self.level, _LEAST_GRID_MM))
+        return float(max((options.grid_mm or _GRID_GAPS * gap_mm) / _FINER**self.level, _LEAST_GRID_MM))
 
     @property
     def factor(self) -> float:
@@ -129,6 +129,7 @@ def _cut(
     may_shrink: bool,
 ) -> Outcome:
     best: _Made | None = None
+    best_rank = (False, False)
     failure = ""
     given = judge(mesh)
     for scale in _SCALES:
@@ -141,9 +142,11 @@ def _cut(
             failure = failure or ", ".join(made.candidate.flaws)
             continue
         keeps_shape = may_shrink or _keeps_shape(given, made.candidate, thin=_is_thin(cell, options))
-        if best is None or keeps_shape:
-            best = made
-        if keeps_shape:
+        # Edges that are too short would have the whole result thrown away.
+        rank = (made.candidate.min_edge >= min(given.min_edge, 0.5 * options.min_edge_mm), keeps_shape)
+        if best is None or rank > best_rank:
+            best, best_rank = made, rank
+        if all(rank):
             break
     if best is None:
         if actions:
@@ -170,7 +173,7 @@ def _cut_for(current: Mesh, cell: Cell, scale: float, options: ClearanceOptions,
     """
     gap = max(bound.gap_mm for bound in cell.bounds) / scale
     grid, finish = attempt.grid_mm(options, gap), _FINISH_MARGIN * gap
-    margin = _CUT_MARGIN * grid + finish + _ROUNDING_MM
+    margin = _CUT_MARGIN * grid + (1 + attempt.level) * finish + _ROUNDING_MM
     for last in (False, True):
         made, crumbs = carved(
             current,
