@@ -675,8 +675,8 @@ _TABLE = (
         "warning",
         "More than 1 % of the tetrahedra of a tissue have a radius ratio below the limit.",
         why=(
-            "The radius ratio, 3 r_in / r_out, bounds the error of linear elements: if many are flat, results are wrong "
-            "over a region, not only in a point."
+            "The radius ratio, 3 r_in / r_out, bounds the error of linear elements: if many are flat, results are "
+            "wrong over a region, not only in a point."
         ),
         example="A layer much thinner than the edge length was filled with one row of flat tetrahedra.",
         fix="Mesh with shorter edges in the tissue, or with a lower --stop-energy.",
@@ -732,9 +732,7 @@ _TABLE = (
         "label-parts",
         "warning",
         "A label has more or fewer connected parts than its surface encloses.",
-        why=(
-            "A vessel that is cut carries no current, and two parts that have merged carry one that does not exist."
-        ),
+        why=("A vessel that is cut carries no current, and two parts that have merged carry one that does not exist."),
         example="A nerve thinner than the envelope broke into pieces.",
         fix="Mesh with a smaller --epsilon, or a shorter edge length in the tissue.",
     ),
@@ -827,7 +825,10 @@ _TABLE = (
         "breathing-mass",
         "error",
         "The mass of the model changes with breath by more than the limit.",
-        why="A body that gains tissue as it breathes in absorbs more; the change is then of the model, not of breathing.",
+        why=(
+            "A body that gains tissue as it breathes in absorbs more; the change is then of the model, not of "
+            "breathing."
+        ),
         example="Lungs that grow by 0.3 l within a skin that stays.",
         fix="Fit the shells anew, check the densities and the convention for the lungs, or set --mass-tolerance.",
     ),

@@ -102,18 +102,8 @@ def test_every_repair_leads_back_to_the_clean_shape(pymeshlab: ModuleType, name:
     assert_as_good_as_the_truth(case, outcome)
 
 
-# Noise as large as the triangles folds the surface over itself everywhere; a few creases stay too sharp to remesh.
-NOT_YET = {"sphere, noise"}
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.xfail(name in NOT_YET, reason="min q stays below 0.2", strict=True))
-        for name in damage.CASES
-    ],
-)
+@pytest.mark.parametrize("name", damage.CASES)
 def test_remeshing_stays_at_the_clean_shape(pymeshlab: ModuleType, name: str):
     case = made(name)
     outcome = heal(case.damaged, HealOptions())
