@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import minimize_scalar
@@ -95,6 +95,7 @@ def test_poor_fit_gives_way_to_the_monotone_curve() -> None:
 
 
 @given(curves, st.floats(1.0, 11.0))
+@example(Polynomial((0.0, 0.0625, -0.03125, -0.001953125, 0.000244140625, 3e-30)), 1.0)
 def test_turn_back_is_the_largest_way_back(curve: Curve, end: float) -> None:
     times = np.linspace(0.0, end, 4001)
     values = curve(times) if curve(end) >= curve(0.0) else -curve(times)

@@ -11,6 +11,8 @@ from vhp_cli.stages.breathe.operations import Parameter
 Array = NDArray[np.float64]
 
 DEGREE = 6
+# As a part of the largest coefficient.
+_NO_COEFFICIENT = 1e-13
 
 
 def fit_pinned(times: ArrayLike, values: ArrayLike, identity: float, degree: int = DEGREE) -> Polynomial:
@@ -110,7 +112,14 @@ def _turning_points(curve: Curve, end: float) -> Array:
 
 
 def _roots(coefficients: tuple[float, ...], start: float, end: float) -> list[float]:
-    roots = np.roots(coefficients[::-1])
+    """Return the real roots of a polynomial between two places, ascending."""
+    reach = max(abs(start), abs(end))
+    # Over [-1, 1] a leading coefficient that is next to nothing can go; kept, it would spoil the other roots.
+    scaled = np.array(coefficients) * reach ** np.arange(len(coefficients))
+    known = np.flatnonzero(np.abs(scaled) > _NO_COEFFICIENT * np.abs(scaled).max(initial=0.0))
+    if not len(known):
+        return []
+    roots = reach * np.roots(scaled[known[-1] :: -1])
     # The place of a double root comes out with a small imaginary part.
-    real = roots.real[np.abs(roots.imag) <= 1e-6 * (1.0 + np.abs(roots.real))]
+    real = roots.real[np.abs(roots.imag) <= 1e-6 * (reach + np.abs(roots.real))]
     return sorted(float(root) for root in real if start < root < end)
