@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -304,12 +305,25 @@ def planted(monkeypatch, target):
     monkeypatch.setattr(engines, "ENGINES", known)
 
 
+def children_of(parent):
+    """Return the processes that a process has started and that are still there, with their command lines."""
+    found = {}
+    for entry in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if int((entry / "stat").read_text().rpartition(")")[2].split()[1]) == parent:
+                found[int(entry.name)] = (entry / "cmdline").read_bytes()
+    return found
+
+
 def children_left():
-    """Return the processes of this session's children that are still there."""
-    found = subprocess.run(["ps", "-e", "-o", "ppid=,pid=,args="], capture_output=True, text=True, check=True).stdout
-    return [line for line in found.splitlines() if "vhp_cli.processes" in line and line.split()[0] == str(os.getpid())]
+    """Return the children of this session that are still there."""
+    return [child for child, command in children_of(os.getpid()).items() if b"vhp_cli.processes" in command]
 
 
+needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
+
+
+@needs_proc
 @pytest.mark.parametrize(
     ("target", "reason"), [("mesh_nothing", "timeout"), ("crash_while_meshing", "crash: "), ("fail_to_mesh", "error: ")]
 )
@@ -414,7 +428,7 @@ def test_kept_surfaces(tmp_path):
     assert code == 3 and "a and b can't be" in report["tissues"][0]["reason"]
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@needs_proc
 def test_an_interrupt_ends_the_child(tmp_path):
     model = write(tmp_path / "model", ball=sphere(10, subdivisions=5))
     command = [sys.executable, "-m", "vhp_cli", "tetmesh", str(model), "-o", str(tmp_path / "out")]
@@ -425,8 +439,7 @@ def test_an_interrupt_ends_the_child(tmp_path):
     deadline = time.monotonic() + 20
     while not children and time.monotonic() < deadline:
         time.sleep(0.1)
-        found = subprocess.run(["ps", "-e", "-o", "ppid=,pid="], capture_output=True, text=True, check=True).stdout
-        children = [int(line.split()[1]) for line in found.splitlines() if line.split()[0] == str(running.pid)]
+        children = list(children_of(running.pid))
     assert children
     time.sleep(0.5)
     running.send_signal(signal.SIGINT)
