@@ -29,7 +29,7 @@ FAMILIES = {
 _INTRODUCTION = """\
 # Rules
 
-<!-- Generated from vhp_cli/rules.py by: python -m vhp_cli.report.rule_pages docs/rules.md -->
+<!-- Generated from vhp_cli/rules/ by: python -m vhp_cli.report.rule_pages docs/rules.md -->
 
 What `vhp` can find in a model. An **error** fails the gate (exit code 1), a **warning** or a **note** does not, and a
 rule that is **off** is not looked at. Level and limit of each rule can be changed in `vhp.toml` and by a profile.
