@@ -206,7 +206,7 @@ def test_empty_mesh():
     [
         ({"vertices": np.array([[0.1, 0, 0], [1, 0, 0], [0, 1, 0]])}, "float32"),
         ({"vertices": np.array([[np.nan, 0, 0], [1, 0, 0], [0, 1, 0]])}, "not finite"),
-        ({"vertices": np.zeros((3, 2))}, "expected vertices"),
+        ({"vertices": np.zeros((3, 2))}, "must have shapes"),
         ({"faces": [[0, 1, 3]]}, "outside"),
         ({"faces": [[0, 1, 1]]}, "twice"),
         ({"sizes": 0.0}, "sizes must be above 0"),

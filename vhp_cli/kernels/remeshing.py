@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vhp_cli.errors import KernelError
 from vhp_cli.kernels import surface
+from vhp_cli.kernels._arguments import MAX_FACES, checked_mesh
 from vhp_cli.kernels._library import address, check_allocation, f64, function, i64, pointer
 from vhp_cli.kernels.spatial import Tree, _tree
 
@@ -202,7 +203,7 @@ class Remesher:
             min_edge=min_edge,
             edge_floor=edge_floor,
             fold_cosine=math.cos(math.radians(180 - _LEAST_FOLD_DEG)),
-            max_faces=min(max_triangles, surface.MAX_FACES // 4),
+            max_faces=min(max_triangles, MAX_FACES // 4),
             max_work=max_work,
         )
         samples = _reference_samples(to_vertices, to_faces, to_sizes, deviation)
@@ -422,12 +423,7 @@ def remesh(
 
 
 def _checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[Float, Int]:
-    vertices = np.ascontiguousarray(vertices, dtype=np.float64)
-    faces = np.ascontiguousarray(faces, dtype=np.int32)
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-        raise ValueError(f"expected vertices (V, 3) and faces (F, 3), not {vertices.shape} and {faces.shape}")
-    if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
-        raise ValueError(f"faces refer to vertices outside 0..{len(vertices) - 1}")
+    vertices, faces = checked_mesh(vertices, faces)
     if not (np.abs(vertices) <= _LARGEST).all():
         raise ValueError("a coordinate is not finite, or above 1e38 mm")
     if not (vertices.astype(np.float32) == vertices).all():

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vhp_cli.kernels._arguments import checked_mesh
 from vhp_cli.kernels._library import address, check_allocation, f64, function, i32, i64, pointer
 
 Int = NDArray[np.int32]
@@ -22,9 +23,6 @@ Mask = NDArray[np.bool_]
 METHODS = ("standard", "lumped", "cvt", "wcc", "cvt-equal", "wcc-equal")
 UPDATES = ("simultaneous", "sequential")
 CORRECTIONS = ("none", "hc", "taubin", "volume")
-
-# Corners and half-edges are numbered with 32 bits.
-MAX_FACES = (2**31 - 1) // 3
 
 # Relative; one digit better than is promised, so that another order of summation finds it kept too.
 _VOLUME_TOLERANCE = 1e-13
@@ -191,18 +189,6 @@ class _Volumes:
     closed: Mask
 
 
-def _checked(vertices: Float, faces: Int) -> tuple[Float, Int]:
-    vertices = np.ascontiguousarray(vertices, dtype=np.float64)
-    faces = np.ascontiguousarray(faces, dtype=np.int32)
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-        raise ValueError(f"vertices and faces must have shapes (V, 3) and (F, 3), not {vertices.shape}, {faces.shape}")
-    if len(faces) > MAX_FACES:
-        raise ValueError(f"a mesh can't have more than {MAX_FACES} faces, this one has {len(faces)}")
-    if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
-        raise ValueError(f"faces refer to vertices outside 0..{len(vertices) - 1}")
-    return vertices, faces
-
-
 def _mask(fixed: Mask | None, n_vertices: int) -> Mask:
     if fixed is None:
         return np.zeros(n_vertices, dtype=np.bool_)
@@ -229,7 +215,7 @@ def adjacency(n_vertices: int, faces: Int) -> Adjacency:
     KernelError
         If memory runs out.
     """
-    _, faces = _checked(np.broadcast_to(np.float64(0), (n_vertices, 3)), faces)
+    _, faces = checked_mesh(np.broadcast_to(np.float64(0), (n_vertices, 3)), faces)
     return _adjacency_of(n_vertices, faces)
 
 
@@ -292,7 +278,7 @@ def delaunay_flips(vertices: Float, faces: Int, *, constrained: Mask | None = No
     KernelError
         If memory runs out.
     """
-    vertices, faces = _checked(vertices, faces)
+    vertices, faces = checked_mesh(vertices, faces)
     flipped = faces.copy()
     n_flips = _delaunay_flips(
         address(vertices), len(vertices), address(flipped), len(faces), address(_mask(constrained, len(vertices)))
@@ -321,7 +307,7 @@ def volume_about(vertices: Float, faces: Int, anchor: Float) -> float:
     ValueError
         If a shape or an index is wrong.
     """
-    vertices, faces = _checked(vertices, faces)
+    vertices, faces = checked_mesh(vertices, faces)
     anchor = np.ascontiguousarray(anchor, dtype=np.float64)
     if anchor.shape != (3,):
         raise ValueError(f"the anchor must have shape (3,), not {anchor.shape}")
@@ -412,7 +398,7 @@ def smoothing_steps(
     KernelError
         If memory runs out.
     """
-    vertices, faces = _checked(vertices, faces)
+    vertices, faces = checked_mesh(vertices, faces)
     given = _mask(fixed, len(vertices))
     around = _adjacency_of(len(vertices), faces)
     # Flips keep the boundary.
@@ -526,7 +512,7 @@ def smooth_vertices(
     settings = Smoothing(method, update, step, correction, alpha, beta, taubin_mu, tangential)
     if iterations < 0:
         raise ValueError(f"iterations must not be negative, not {iterations}")
-    smoothed, faces = _checked(vertices, faces)
+    smoothed, faces = checked_mesh(vertices, faces)
     if not iterations:
         _mask(fixed, len(smoothed))
         return smoothed.copy()

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vhp_cli.kernels._arguments import checked_mesh
 from vhp_cli.kernels._library import address, check_allocation, function, i32, i64, pointer
 
 Int = NDArray[np.int32]
 Float = NDArray[np.float64]
-
-# Half-edges are numbered with 32 bits.
-MAX_FACES = (2**31 - 1) // 3
 
 _topology = function("vhp_topology", i32, [pointer, i64, pointer, i64, *[pointer] * 11])
 _edge_loops = function("vhp_edge_loops", i32, [pointer, i64, i64, pointer])
@@ -123,18 +121,6 @@ class Quality:
     component_area: Float
 
 
-def _checked(vertices: Float, faces: Int) -> tuple[Float, Int]:
-    vertices = np.ascontiguousarray(vertices, dtype=np.float64)
-    faces = np.ascontiguousarray(faces, dtype=np.int32)
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-        raise ValueError(f"vertices and faces must have shapes (V, 3) and (F, 3), not {vertices.shape}, {faces.shape}")
-    if len(faces) > MAX_FACES:
-        raise ValueError(f"a mesh can't have more than {MAX_FACES} faces, this one has {len(faces)}")
-    if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
-        raise ValueError(f"faces refer to vertices outside 0..{len(vertices) - 1}")
-    return vertices, faces
-
-
 def _integers(*shape: int) -> Int:
     return np.empty(shape, dtype=np.int32)
 
@@ -156,7 +142,7 @@ def topology(vertices: Float, faces: Int) -> Topology:
     KernelError
         If memory runs out.
     """
-    vertices, faces = _checked(vertices, faces)
+    vertices, faces = checked_mesh(vertices, faces)
     n, n_vertices = len(faces), len(vertices)
     edges, edge_faces, inconsistent = _integers(3 * n, 2), _integers(3 * n, 2), _integers(3 * n // 2)
     component, duplicates, collapsed = _integers(n), _integers(n), _integers(n)
@@ -251,7 +237,7 @@ def quality(vertices: Float, faces: Int, component: Int, n_components: int) -> Q
     KernelError
         If memory runs out.
     """
-    vertices, faces = _checked(vertices, faces)
+    vertices, faces = checked_mesh(vertices, faces)
     component = np.ascontiguousarray(component, dtype=np.int32)
     n = len(faces)
     if component.shape != (n,) or (n and component.max() >= n_components):
@@ -315,7 +301,7 @@ def dihedral_angles(vertices: Float, faces: Int, inner_edges: Int, inner_edge_fa
     ValueError
         If a shape or an index is wrong, or a face does not have the edge.
     """
-    vertices, faces = _checked(vertices, faces)
+    vertices, faces = checked_mesh(vertices, faces)
     edges = np.ascontiguousarray(inner_edges, dtype=np.int32)
     edge_faces = np.ascontiguousarray(inner_edge_faces, dtype=np.int32)
     m = len(edges)
