@@ -9,14 +9,14 @@ from pathlib import Path
 PACKAGE = Path(__file__).resolve().parents[1] / "vhp_cli"
 # From the ground up, as in docs/design.md; rooms on one floor may use each other.
 FLOORS = (
-    {"errors", "__init__"},
+    {"errors", "rounding", "__init__"},
     {"measures", "mesh", "volume", "rules", "processes", "kernels"},
     {"config", "tissues", "model", "gate", "gate_tetmesh", "formats", "inspection", "engines", "report"},
     {"phantom", "stages"},
     {"pipeline"},
     {"commands"},
     {"cli"},
-    {"__main__"},
+    {"__main__", "child"},
 )
 LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 

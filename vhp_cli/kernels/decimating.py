@@ -10,6 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vhp_cli import rounding
 from vhp_cli.errors import KernelError
 from vhp_cli.kernels._library import address, check_allocation, f64, function, i32, i64, pointer
 from vhp_cli.kernels.remeshing import (
@@ -168,6 +169,7 @@ def _decimated(vertices: Float, faces: Int, wanted: _Decimation, max_deviation: 
     settings = _Settings(
         deviation=min(max_deviation, _UNLIMITED),
         fold_cosine=math.cos(math.radians(180 - _LEAST_FOLD_DEG)),
+        unit=rounding.unit_mm(),
         max_faces=len(faces) + 2,
         max_work=max_work,
     )

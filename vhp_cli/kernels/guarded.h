@@ -6,8 +6,8 @@
  * loses the surface, and the shape of the triangles does not suffer. So after any number of
  * operations the mesh is as valid as it was before the first.
  *
- * All coordinates are float32 values held as doubles: a new position is rounded first and judged
- * afterwards, and a file of single precision changes nothing.
+ * All coordinates are float32 values of the unit of the file, in mm as doubles: a new position is rounded first
+ * and judged afterwards, and a file of single precision changes nothing.
  *
  * Corner c = 3 f + k is corner k of face f. `across[c]` is the corner that looks at the same edge from
  * the other side: the edge of f that is opposite to c. It is -1 where the edge does not have exactly
@@ -60,6 +60,7 @@ typedef struct {
     double min_edge;       /* mm; shorter edges are collapsed where possible */
     double edge_floor;     /* mm; no operation makes an edge shorter than this, unless one was */
     double fold_cosine;    /* of two normals at an edge: no new edge is folded more sharply */
+    double unit;           /* mm; new coordinates are float32 multiples of it */
     int64_t max_faces;
     int64_t max_work;      /* boxes and triangles looked at; no new operation begins beyond */
 } Settings;
@@ -197,11 +198,11 @@ static inline double box_distance(const float *box, const double *p)
 }
 
 /* By way of memory: GCC 12 takes a conversion to float and back for nothing where it vectorizes the two. */
-static inline void round_to_float(double *point)
+static inline void round_to_file(const Guarded *g, double *point)
 {
     for (int d = 0; d < 3; d++) {
-        volatile float rounded = (float)point[d];
-        point[d] = (double)rounded;
+        volatile float rounded = (float)(point[d] * (1 / g->settings.unit));
+        point[d] = (double)rounded * g->settings.unit;
     }
 }
 

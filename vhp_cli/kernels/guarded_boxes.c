@@ -1,8 +1,7 @@
 /* Search tree of boxes over the faces of a mesh that changes.
  *
  * Built top-down by medians. Afterwards a face that moves refits the boxes above it, a new face becomes
- * the sibling of the one that it was split from, and a face that goes is cut out. Boxes are exact:
- * coordinates are float32 values. */
+ * the sibling of the one that it was split from, and a face that goes is cut out. Boxes are rounded outward. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -16,8 +15,8 @@ void vhp_face_box(const Guarded *g, const int32_t *vertices, float *box)
     const double *a = place(g, vertices[0]), *b = place(g, vertices[1]), *c = place(g, vertices[2]);
     for (int d = 0; d < 3; d++) {
         const double low = a[d] < b[d] ? a[d] : b[d], high = a[d] < b[d] ? b[d] : a[d];
-        box[d] = (float)(low < c[d] ? low : c[d]);
-        box[3 + d] = (float)(high > c[d] ? high : c[d]);
+        box[d] = round_down(low < c[d] ? low : c[d]);
+        box[3 + d] = round_up(high > c[d] ? high : c[d]);
     }
 }
 

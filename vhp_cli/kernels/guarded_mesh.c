@@ -358,7 +358,7 @@ static int fill(Guarded *g, const double *vertices, int64_t n_vertices, const in
 
 /* Make a mesh to work on; NULL if memory runs out.
  *
- * vertices (n_vertices, 3) with float32 values, faces (n_faces, 3) without repeated vertices, sizes (n_vertices)
+ * vertices (n_vertices, 3) as the file holds them, faces (n_faces, 3) without repeated vertices, sizes (n_vertices)
  * in mm, frozen (n_vertices) or NULL. reference: tree over the surface to stay at, which must live as long as the
  * result; reference_sizes (faces of the reference, 3): wanted edge length at its corners. samples (n_samples, 3):
  * points of the reference that must stay covered. */

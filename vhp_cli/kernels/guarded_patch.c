@@ -67,7 +67,7 @@ Trial vhp_try_place(Guarded *g, int32_t vertex, const double *position, int32_t 
     double *xyz = place(g, vertex);
     const Trial trial = {vertex, g->near[vertex], {xyz[0], xyz[1], xyz[2]}};
     memmove(xyz, position, sizeof trial.xyz); /* it may be the place itself */
-    round_to_float(xyz);
+    round_to_file(g, xyz);
     if (near >= 0)
         g->near[vertex] = near;
     return trial;

@@ -20,7 +20,7 @@ int32_t vhp_split(Guarded *g, int32_t corner)
     double *xyz = place(g, m);
     for (int k = 0; k < 3; k++)
         xyz[k] = 0.5 * (place(g, a)[k] + place(g, b)[k]);
-    round_to_float(xyz);
+    round_to_file(g, xyz);
     vhp_patch_begin(&patch);
     vhp_patch_take(&patch, first);
     vhp_patch_take(&patch, second);

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vhp_cli import rounding
 from vhp_cli.errors import KernelError
 from vhp_cli.kernels import surface
 from vhp_cli.kernels._arguments import MAX_FACES, checked_mesh
@@ -55,6 +56,7 @@ class _Settings(ctypes.Structure):
         ("min_edge", f64),
         ("edge_floor", f64),
         ("fold_cosine", f64),
+        ("unit", f64),
         ("max_faces", i64),
         ("max_work", i64),
     )
@@ -203,6 +205,7 @@ class Remesher:
             min_edge=min_edge,
             edge_floor=edge_floor,
             fold_cosine=math.cos(math.radians(180 - _LEAST_FOLD_DEG)),
+            unit=rounding.unit_mm(),
             max_faces=min(max_triangles, MAX_FACES // 4),
             max_work=max_work,
         )
@@ -426,7 +429,7 @@ def _checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[Float, Int]:
     vertices, faces = checked_mesh(vertices, faces)
     if not (np.abs(vertices) <= _LARGEST).all():
         raise ValueError("a coordinate is not finite, or above 1e38 mm")
-    if not (vertices.astype(np.float32) == vertices).all():
+    if not (rounding.rounded(vertices) == vertices).all():
         raise ValueError("coordinates must be float32 values; round them and check the mesh first")
     if (faces == np.roll(faces, 1, axis=1)).any():
         raise ValueError("a face has the same vertex twice")

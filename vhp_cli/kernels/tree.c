@@ -27,18 +27,6 @@ typedef struct {
     int32_t *order, *spare_order;
 } Sorting;
 
-static inline float round_down(double x)
-{
-    const float nearest = (float)x;
-    /* One ulp is at most 2^-23 = 1.192e-7 of the number, or the smallest denormal. */
-    return (double)nearest > x ? nearest - (fabsf(nearest) * 1.2e-7f + 3e-45f) : nearest;
-}
-
-static inline float round_up(double x)
-{
-    return -round_down(-x);
-}
-
 /* Move bit k of the lower 16 bits to bit 3k. */
 static inline uint64_t spread_bits(uint64_t x)
 {

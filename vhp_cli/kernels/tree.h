@@ -8,6 +8,7 @@
 #ifndef VHP_TREE_H
 #define VHP_TREE_H
 
+#include <math.h>
 #include <stdint.h>
 #ifdef __SSE2__
 #include <emmintrin.h>
@@ -26,6 +27,19 @@ typedef struct {
     const float *face_boxes;    /* (n_faces + 1, 6): lower and upper corner, rounded outward */
     const float *boxes;         /* (2 n_leaves, 6); the last row of both is only room for wide loads */
 } Tree;
+
+/* For boxes: a float that is not above, or not below, a number. */
+static inline float round_down(double x)
+{
+    const float nearest = (float)x;
+    /* One ulp is at most 2^-23 = 1.192e-7 of the number, or the smallest denormal. */
+    return (double)nearest > x ? nearest - (fabsf(nearest) * 1.2e-7f + 3e-45f) : nearest;
+}
+
+static inline float round_up(double x)
+{
+    return -round_down(-x);
+}
 
 /* A walk holds at most three waiting nodes per level of a tree, or one per level of each of two, and
  * a tree of less than 2^31 faces has at most 31 levels: 96 places suffice for every walk. */

@@ -18,6 +18,7 @@ from vhp_cli.model import TissueFile
 from vhp_cli.pipeline.face_errors import FaceErrors, read_face_errors
 from vhp_cli.pipeline.measuring import issues_of, measure, parse_in_mm, scaled, shape_limits, unreadable
 from vhp_cli.pipeline.regressions import Measured, regressions
+from vhp_cli.rounding import file_unit
 from vhp_cli.stages.outcome import Outcome, Status
 
 # What is wrong with a file though its surface may be in order; writing it anew mends that.
@@ -105,7 +106,8 @@ def process(task: Task) -> Result:
             arguments.append(read_face_errors(task.face_errors, task.source, data, reading))
         except VhpError as error:
             return Result("failed", error.message + (f"; {error.hint}" if error.hint else ""), sha256=sha256)
-    outcome: Outcome = getattr(importlib.import_module(module), name)(*arguments)
+    with file_unit(UNITS[task.settings.units]):
+        outcome: Outcome = getattr(importlib.import_module(module), name)(*arguments)
     return replace(_accepted(task, reading, before, data, outcome), sha256=sha256)
 
 

@@ -12,6 +12,7 @@ from vhp_cli.kernels.reading import weld
 from vhp_cli.kernels.surface import quality, topology
 from vhp_cli.measures import TissueMeasures
 from vhp_cli.mesh import Mesh
+from vhp_cli.rounding import rounded
 
 # Shapes are judged by the gate itself; here only the measures count.
 _NO_LIMITS = ShapeLimits(quality=0.0, edge_mm=0.0, fold_deg=0.0)
@@ -24,7 +25,7 @@ class Candidate:
     Parameters
     ----------
     mesh
-        float32 coordinates, equal ones welded, no collapsed face: what a reader of the STL gets.
+        Rounded coordinates, equal ones welded, no collapsed face: what a reader of the STL gets.
     measures
         As `vhp check` reports them.
     flaws
@@ -61,11 +62,11 @@ def as_written(mesh: Mesh) -> Mesh:
 
     Faces that collapse on the way are left out.
     """
-    corners = mesh.vertices.astype(np.float32)[mesh.faces].reshape(-1, 3)
+    corners = rounded(mesh.vertices)[mesh.faces].reshape(-1, 3)
     vertices, index = weld(corners)
     faces = index.reshape(-1, 3)
     collapsed = (faces == faces[:, [1, 2, 0]]).any(axis=1)
-    return Mesh(vertices.astype(np.float64), faces[~collapsed])
+    return Mesh(vertices, faces[~collapsed])
 
 
 def judge(mesh: Mesh, *, may_be_open: bool = False) -> Candidate:

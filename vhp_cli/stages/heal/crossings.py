@@ -13,10 +13,11 @@ from vhp_cli.kernels.spatial import Tree
 from vhp_cli.kernels.surface import topology
 from vhp_cli.measures import Action, Place
 from vhp_cli.mesh import Mesh
+from vhp_cli.rounding import rounded, spacing
 from vhp_cli.stages.heal.candidate import diagonal, face_areas
 from vhp_cli.stages.heal.clean import compact
 from vhp_cli.stages.heal.holes import fill_holes, holes
-from vhp_cli.stages.heal.pushing import push, rounded, smooth
+from vhp_cli.stages.heal.pushing import push, smooth
 from vhp_cli.stages.heal.zones import Floats, Ints, Mask, Zones, all_hits, connected, edges_of, find_zones, grown
 
 # How far vertices may be moved: this share of the diagonal of the box, within these bounds in mm.
@@ -80,7 +81,7 @@ def untangle(mesh: Mesh, reach_mm: float | None = None, gap_mm: float = 0.01) ->
         return mesh, []
     reach = default_reach(mesh) if reach_mm is None else reach_mm
     # What is apart in float64 has to be apart in the file too.
-    gap = max(gap_mm, 8 * float(np.spacing(np.float32(np.abs(mesh.vertices).max(initial=0.0)))))
+    gap = max(gap_mm, 8 * spacing(mesh.vertices))
     zones = find_zones(mesh)
     if not zones.count:
         return mesh, []

@@ -14,6 +14,7 @@ from vhp_cli.kernels.spatial import Tree
 from vhp_cli.kernels.surface import topology
 from vhp_cli.measures import Action
 from vhp_cli.mesh import Mesh
+from vhp_cli.rounding import rounded
 
 # Root mean square distance of a loop from its plane, over its length, up to which a cap is first tried in that plane.
 _NEAR_PLANE = 0.02
@@ -271,7 +272,7 @@ class _Capping:
     def _fan(self, hole: Hole) -> Cap:
         after, tip = np.roll(hole.loop, -1), np.full(hole.edges, len(self.mesh.vertices), np.int32)
         # What is written is float32.
-        centre = hole.centre.astype(np.float32).astype(np.float64)
+        centre = rounded(hole.centre)
         return Cap(np.stack([hole.loop, after, tip], axis=1), centre[None, :])
 
     def _triangulated(self, number: int, hole: Hole, method: FillMethod) -> Cap | None:

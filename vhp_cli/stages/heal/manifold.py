@@ -13,6 +13,7 @@ from vhp_cli.kernels.spatial import Tree
 from vhp_cli.kernels.surface import quality, topology
 from vhp_cli.measures import Action, Place
 from vhp_cli.mesh import Mesh
+from vhp_cli.rounding import rounded
 from vhp_cli.stages.heal.candidate import face_areas
 from vhp_cli.stages.heal.orientation import patch_volumes
 
@@ -104,7 +105,7 @@ def _split_edges(mesh: Mesh, glued: NDArray[np.int32]) -> Mesh:
         if pairs[half_edge] >= 0:
             middle[int(pairs[half_edge])] = middle[half_edge]
         # What is written is float32.
-        points.append(ends.mean(axis=0).astype(np.float32).astype(np.float64))
+        points.append(rounded(ends.mean(axis=0)))
     cut = sorted({half_edge // 3 for half_edge in middle})
     pieces: list[tuple[int, int, int]] = []
     for face in cut:

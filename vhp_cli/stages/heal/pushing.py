@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from vhp_cli.kernels.spatial import KIND_CROSSING, Hits, Tree
 from vhp_cli.kernels.untangling import opposite
+from vhp_cli.rounding import rounded
 from vhp_cli.stages.heal.zones import (
     Floats,
     Ints,
@@ -44,11 +45,6 @@ class Moved(NamedTuple):
 
     vertices: Floats
     distances: Floats
-
-
-def rounded(vertices: Floats) -> Floats:
-    """Return coordinates as float32 keeps them."""
-    return vertices.astype(np.float32).astype(np.float64)
 
 
 def _farthest(start: Floats, vertices: Floats, labels: Ints, count: int) -> Floats:

@@ -10,6 +10,7 @@ from vhp_cli.kernels.reading import weld
 from vhp_cli.kernels.spatial import Tree
 from vhp_cli.measures import Action, Place
 from vhp_cli.mesh import Mesh
+from vhp_cli.rounding import rounded, spacing
 from vhp_cli.stages.heal.candidate import diagonal
 
 # How far touching vertices are moved apart: this share of the diagonal, at most so many mm, at most this share of the
@@ -36,7 +37,7 @@ def separate(mesh: Mesh) -> tuple[Mesh, list[Action]]:
     mesh
         Oriented, and manifold by its indices.
     """
-    written = mesh.vertices.astype(np.float32)
+    written = rounded(mesh.vertices)
     _, spot = weld(written)
     members = np.bincount(spot)
     moving = np.flatnonzero(members[spot] > 1)
@@ -93,9 +94,9 @@ class _Parting:
             np.minimum.at(shortest, mesh.faces[beside, k], np.minimum(*lengths))
         size = np.maximum(np.linalg.norm(inward[moving], axis=1), 1e-300)
         self.direction = inward[moving] / size[:, None]
-        spacing = _APART_ULPS * float(np.spacing(np.float32(np.abs(mesh.vertices).max())))
+        least = _APART_ULPS * spacing(mesh.vertices)
         largest = min(_APART_MOST, _APART_SHARE * diagonal(mesh))
-        self.distance = np.maximum(np.minimum(largest, _APART_EDGE_SHARE * shortest[moving]), spacing)
+        self.distance = np.maximum(np.minimum(largest, _APART_EDGE_SHARE * shortest[moving]), least)
         # Everything that a vertex could touch on its way.
         reach = max(_MOVES) * float(self.distance.max())
         faces = mesh.vertices[mesh.faces]
@@ -109,7 +110,7 @@ class _Parting:
         """Return the vertices, those of each spot moved by its factor, as they would be written."""
         vertices = mesh_vertices = self.mesh.vertices.copy()
         step = (factors[self.group] * self.distance)[:, None] * self.direction
-        vertices[self.moving] = (mesh_vertices[self.moving] + step).astype(np.float32)
+        vertices[self.moving] = rounded(mesh_vertices[self.moving] + step)
         return vertices
 
     def hits(self, vertices: NDArray[np.float64]) -> NDArray[np.int64]:

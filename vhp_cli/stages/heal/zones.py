@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from vhp_cli.kernels.spatial import Hits, Tree
 from vhp_cli.mesh import Mesh
+from vhp_cli.rounding import spacing
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -130,7 +131,7 @@ def winding_ahead(
     chosen
         The vertices asked for.
     """
-    least = _AHEAD_ULPS * float(np.spacing(np.float32(np.abs(vertices).max(initial=0.0))))
+    least = _AHEAD_ULPS * spacing(vertices)
     ahead = np.maximum(_AHEAD * lengths[chosen], least)[:, None]
     points = vertices[chosen] + ahead * normals[chosen]
     return np.rint(sum(tree.winding(points, accuracy=3.0) for tree in trees)).astype(np.int32)

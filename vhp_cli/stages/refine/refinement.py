@@ -13,6 +13,7 @@ from vhp_cli.kernels.reading import weld
 from vhp_cli.kernels.spatial import Tree
 from vhp_cli.measures import Action
 from vhp_cli.mesh import Mesh
+from vhp_cli.rounding import rounded
 from vhp_cli.stages.heal.candidate import diagonal
 from vhp_cli.stages.outcome import Outcome
 from vhp_cli.stages.refine.options import ALL_EDGES, BY_ERROR, SCENARIOS, SHARED_EDGES, RefineOptions
@@ -101,7 +102,7 @@ class _Divided:
 
 def _as_written(mesh: Mesh) -> tuple[Mesh, NDArray[np.int64]]:
     """Return a mesh with float32 coordinates, equal ones welded, without collapsed faces, and the faces it keeps."""
-    vertices, index = weld(mesh.vertices.astype(np.float32)[mesh.faces].reshape(-1, 3))
+    vertices, index = weld(rounded(mesh.vertices)[mesh.faces].reshape(-1, 3))
     faces = index.reshape(-1, 3)
     kept = np.flatnonzero((faces != faces[:, [1, 2, 0]]).all(axis=1))
     return Mesh(vertices, faces[kept]), kept
@@ -143,10 +144,10 @@ def _split(mesh: Mesh, picked: Mask, options: RefineOptions) -> Split | None:
     left = _edges_to_leave(mesh, sides, pairs, options)
     for _ in range(_ROUNDS):
         split = cut_edges(mesh, sides, SCENARIOS[options.scenario](sides, picked) & ~left)
-        rounded = Mesh(split.mesh.vertices.astype(np.float32).astype(np.float64), split.mesh.faces)
-        parents = np.unique(split.parents[_broken_by_rounding(mesh, rounded, split, len(pairs))])
+        written = Mesh(rounded(split.mesh.vertices), split.mesh.faces)
+        parents = np.unique(split.parents[_broken_by_rounding(mesh, written, split, len(pairs))])
         if not len(parents):
-            return replace(split, mesh=rounded)
+            return replace(split, mesh=written)
         left[sides.of_face[parents]] = True
     return None
 
@@ -167,15 +168,15 @@ def _edges_to_leave(mesh: Mesh, sides: Sides, contacts: NDArray[np.int32], optio
     return left
 
 
-def _broken_by_rounding(mesh: Mesh, rounded: Mesh, split: Split, n_known: int) -> NDArray[np.int64]:
+def _broken_by_rounding(mesh: Mesh, written: Mesh, split: Split, n_known: int) -> NDArray[np.int64]:
     """Return the new faces without area, turned over, or in contact; known contacts are between faces left whole."""
     is_part = split.n_cuts[split.parents] > 0
     parts = np.flatnonzero(is_part)
-    old, new = _normals(mesh, split.parents[parts]), _normals(rounded, parts)
+    old, new = _normals(mesh, split.parents[parts]), _normals(written, parts)
     lengths = np.linalg.norm(new, axis=1)
     bad = is_part.copy()
-    bad[parts] = ~(np.einsum("ij,ij->i", old, new) > 0) | (lengths <= _NO_AREA * _longest_squares(rounded, parts))
-    pairs = Tree(rounded.vertices, rounded.faces).self_hits(n_known + _LISTED_CONTACTS).pairs
+    bad[parts] = ~(np.einsum("ij,ij->i", old, new) > 0) | (lengths <= _NO_AREA * _longest_squares(written, parts))
+    pairs = Tree(written.vertices, written.faces).self_hits(n_known + _LISTED_CONTACTS).pairs
     bad[pairs.ravel()] = True
     return np.flatnonzero(bad & is_part)
 

@@ -18,6 +18,7 @@ from vhp_cli.kernels import surface
 from vhp_cli.kernels.measuring import closest
 from vhp_cli.kernels.spatial import Tree
 from vhp_cli.mesh import Mesh
+from vhp_cli.rounding import rounded
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -238,8 +239,8 @@ class _Ways:
 
     def _place(self) -> None:
         exact = self._start + _PARTS[self._part][:, None] * self._way
-        rounded = exact.astype(np.float32).astype(np.float64)
-        self.vertices = np.where((self._part < len(_PARTS) - 1)[:, None], rounded, self._start)
+        there = rounded(exact)
+        self.vertices = np.where((self._part < len(_PARTS) - 1)[:, None], there, self._start)
         moving = (self.vertices != self._start).any(axis=1)
         self.touched: Mask = moving[self._faces].any(axis=1)
         self.n_moving = int(moving.sum())
