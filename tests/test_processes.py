@@ -86,6 +86,45 @@ def test_timeout_kills_the_process(child):
     assert child.call("process_targets:add", 1, 1, timeout_s=30) == 2
 
 
+def test_waiting_for_a_processor_is_no_time_of_the_call(child, monkeypatch):
+    child.call("process_targets:add", 1, 1)
+    waited = iter([0.0, 2.0, 2.0, 2.0])
+    monkeypatch.setattr(processes, "waiting_times", lambda _: {"1": next(waited)})
+    assert child.call("process_targets:sleep", 0.6, timeout_s=0.3) is None
+
+
+def test_a_call_that_waits_without_end_is_ended_too(child, monkeypatch):
+    child.call("process_targets:add", 1, 1)
+    monkeypatch.setattr(processes, "waiting_times", lambda _: {"1": time.monotonic() * 1e3})
+    start = time.monotonic()
+    assert failure(child, "process_targets:sleep", 60, timeout_s=0.2)[0] == "timeout"
+    assert 0.75 < time.monotonic() - start < 10
+
+
+@linux_only
+def test_who_has_no_processor_waits():
+    before = processes.waiting_times([os.getpid()])
+    assert str(os.getpid()) in before
+    crowd = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(4 * (os.cpu_count() or 1))]
+    try:
+        end = time.monotonic() + 1.0
+        while time.monotonic() < end:
+            pass
+        after = processes.waiting_times([os.getpid()])
+    finally:
+        for process in crowd:
+            process.kill()
+            process.wait()
+    assert after[str(os.getpid())] > before[str(os.getpid())] + 0.1
+
+
+@linux_only
+def test_the_family_of_a_process_is_found(child):
+    child.call("process_targets:start_sleeper")
+    assert len(processes._descendants(os.getpid())) >= 2
+    assert len(processes._descendants(child.pid)) == 1
+
+
 @posix_only
 def test_timeout_of_a_function_that_holds_the_interpreter(child):
     assert failure(child, "process_targets:hold_the_interpreter", timeout_s=0.5)[0] == "timeout"

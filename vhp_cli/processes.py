@@ -24,8 +24,9 @@ import tempfile
 import threading
 import time
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 from typing import IO, Any, Literal
 
 from vhp_cli.errors import VhpError
@@ -45,6 +46,8 @@ _ENVIRONMENT = {
 _LONGEST_DETAIL = 400
 _KEPT_OUTPUT = 4096
 _PR_SET_PDEATHSIG = 1
+# Times its limit that a call may wait for a processor without being charged for it.
+_MOST_WAITING = 3
 
 
 class CallFailed(VhpError):
@@ -131,7 +134,9 @@ class Child:
         arguments
             Its arguments; they and the result must be picklable.
         timeout_s
-            Time limit in seconds, start of the process included; None: no limit.
+            Time limit in seconds, start of the process included; None: no limit. Where the system tells (Linux), time
+            that the process spends waiting for a processor does not count, up to three times the limit, so that a
+            busy machine does not change what comes out.
 
         Raises
         ------
@@ -140,14 +145,14 @@ class Child:
         CallsStopped
             After `stop_all`.
         """
-        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        limit = None if timeout_s is None else _Limit(timeout_s)
         request = _encode((target, arguments))
         with self._lock:
             try:
                 if self._process is None or not self._process.alive:
                     self._stop()
                     self._process = _Process(self._memory_gb, self._on_output)
-                outcome = self._process.exchange(request, deadline)
+                outcome = self._process.exchange(request, limit)
             except BaseException:
                 self._stop()
                 raise
@@ -205,6 +210,54 @@ def _kill_when_started(future: Future[subprocess.Popen[bytes]]) -> None:
         future.result().kill()
 
 
+class _Limit:
+    """The time that a call may take, without that in which its process waited for a processor."""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+        self._start = time.monotonic()
+        self._end = self._start + seconds
+        self._process = 0
+        self._waited: dict[str, float] = {}
+
+    def watch(self, process: int) -> None:
+        """Count from now on what a process and its children wait."""
+        self._process = process
+        self._waited = waiting_times([process])
+
+    def left(self) -> float:
+        """Return the seconds left, at least."""
+        if time.monotonic() >= self._end:
+            now = waiting_times([self._process, *_descendants(self._process)])
+            longest = max((total - self._waited.get(thread, 0.0) for thread, total in now.items()), default=0.0)
+            self._end = self._start + self._seconds + min(longest, _MOST_WAITING * self._seconds)
+        return self._end - time.monotonic()
+
+
+def waiting_times(processes: Iterable[int]) -> dict[str, float]:
+    """Return the seconds that each thread was ready to run and had no processor; nothing where that is unknown."""
+    found: dict[str, float] = {}
+    for process in processes if _LINUX else ():
+        # Threads and processes come and go meanwhile; some kernels do not count.
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            for thread in Path(f"/proc/{process}/task").iterdir():
+                found[thread.name] = int((thread / "schedstat").read_text().split()[1]) * 1e-9
+    return found
+
+
+def _descendants(process: int) -> list[int]:
+    children: dict[int, list[int]] = {}
+    for entry in Path("/proc").glob("[0-9]*") if _LINUX else ():
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            # After the name, which may hold anything: state, parent.
+            parent = int((entry / "stat").read_text(errors="replace").rpartition(")")[2].split()[1])
+            children.setdefault(parent, []).append(int(entry.name))
+    found = [process]
+    for one in found:
+        found += children.get(one, [])
+    return found[1:]
+
+
 class _Process:
     """One running child; nothing of it is left after `kill`."""
 
@@ -255,9 +308,11 @@ class _Process:
     def alive(self) -> bool:
         return self._popen.poll() is None
 
-    def exchange(self, request: Sequence[_Part], deadline: float | None) -> Any:
+    def exchange(self, request: Sequence[_Part], limit: _Limit | None) -> Any:
         """Return the answer to a request, the exception on the way to it, or None when time is up."""
         outcomes: list[Any] = []
+        if limit is not None:
+            limit.watch(self.pid)
 
         def work() -> None:
             stdin, stdout = self._popen.stdin, self._popen.stdout
@@ -273,10 +328,10 @@ class _Process:
         worker.start()
         try:
             while worker.is_alive():
-                left = 0.5 if deadline is None else min(deadline - time.monotonic(), 0.5)
+                left = 0.5 if limit is None else limit.left()
                 if left <= 0:
                     break
-                worker.join(left)
+                worker.join(min(left, 0.5))
             # An answer that came in the last moment counts.
             return outcomes[0] if outcomes else None
         finally:
@@ -383,7 +438,7 @@ def _read(stream: IO[bytes], length: int) -> bytearray:
 def _serve(parent: int, memory_gb: float) -> None:
     """Answer requests until there are no more; the life of a child."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _die_with(parent)
+    die_with(parent)
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
@@ -424,7 +479,8 @@ def _described(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"[:_LONGEST_DETAIL]
 
 
-def _die_with(parent: int) -> None:
+def die_with(parent: int) -> None:
+    """Let this process be killed when its parent ends, however that ends."""
     if _LINUX:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
         if os.getppid() != parent:
