@@ -115,12 +115,12 @@ def crash_while_meshing(vertices, faces, options):
 
 
 def mesh_small_surfaces_only(vertices, faces, options):
-    """In place of an engine: hang on large surfaces, crash on small ones, and mesh the others."""
+    """In place of an engine: crash on boxes, hang on what is more than 18 mm wide, and mesh the others."""
     from vhp_cli.engines.tetwild import tetrahedralize
 
     if len(faces) == 12:
         crash()
-    if len(faces) > 1000:
+    if vertices.max() - vertices.min() > 18:
         hold_the_interpreter()
     return tetrahedralize(vertices, faces, options)
 

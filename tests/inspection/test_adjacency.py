@@ -10,7 +10,6 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from tetrahedron_grids import grid
 
-from vhp_cli.inspection import adjacency as module
 from vhp_cli.inspection.adjacency import OUTSIDE, adjacency, connected_parts, interfaces
 from vhp_cli.kernels import surface
 
@@ -37,10 +36,7 @@ def test_a_face_of_three_and_a_folded_one_are_noticed():
     assert folded.folded.tolist() == [0]
 
 
-@pytest.mark.parametrize("bits", [module._BITS, 2])
-def test_hull_of_a_cube_is_its_surface(bits, monkeypatch):
-    """Also by the slow way, which large point numbers need."""
-    monkeypatch.setattr(module, "_BITS", bits)
+def test_hull_of_a_cube_is_its_surface():
     points, tetrahedra = grid(3)
     found = adjacency(tetrahedra)
     assert len(found.hull) == 6 * 9 * 2

@@ -94,8 +94,7 @@ def test_other_formulas_agree(points, order):
         assert found[name] == pytest.approx(value, rel=1e-6, abs=1e-6), name
 
 
-def test_many_are_measured_as_each_by_itself(monkeypatch):
-    monkeypatch.setattr("vhp_cli.inspection.tetrahedra._CHUNK", 7)
+def test_many_are_measured_as_each_by_itself():
     rng = np.random.default_rng(0)
     points = rng.normal(size=(40, 3))
     tetrahedra = np.array([rng.choice(40, 4, replace=False) for _ in range(50)], np.int32)

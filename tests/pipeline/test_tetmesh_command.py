@@ -231,6 +231,7 @@ def test_wrong_usage(nested, tmp_path, capsys):
         ([model, "-o", tmp_path / "x", "--format", "stl"], "known: vtu"),
         ([model, "-o", tmp_path / "x", "--edge-length", "short"], "edge-length"),
         ([model, "-o", tmp_path / "x", "--with-air", "5", "--per-tissue"], "with-air"),
+        ([model, "-o", tmp_path / "x", "--surface-gap", "1", "--per-tissue"], "--surface-gap"),
         ([model, "-o", tmp_path / "x", "--with-air", "0,0,0,1,1,1"], "does not hold the model"),
     ):
         assert main(["tetmesh", *map(str, arguments), "--no-cache"]) == 2
@@ -282,6 +283,40 @@ def test_defective_surfaces_are_meshed_and_named(tmp_path):
     assert label(report, "opened")["volume_mm3"] == pytest.approx(BALL * 512, rel=0.03)
     assert label(report, "opened")["volume_error"] is None
     assert report["tetmesh"]["conforming"] and not report["tetmesh"]["input"]["passed"]
+
+
+@pytest.mark.slow
+def test_a_crossing_model_comes_back_as_surfaces_that_pass_the_gate(tmp_path, capsys):
+    """The organs of a phantom with planted defects of pairs; without the layers around them, which take long."""
+    phantom, model, out = tmp_path / "phantom", tmp_path / "model", tmp_path / "out"
+    planted = ("--tissues", "6", "--triangles", "4500", "--defects", "3", "--defect-rules", "P")
+    assert main(["--quiet", "phantom", str(phantom), *planted]) == 0
+    model.mkdir()
+    for path in (*phantom.glob("lung*.stl"), *phantom.glob("rib*.stl")):
+        path.rename(model / path.name)
+    names = {path.stem for path in model.glob("*.stl")}
+    assert {"lung_left", "lung_right_copy", "rib_left_01"} <= names
+    assert main(["--quiet", "check", str(model), "--no-cache"]) == 1
+    code, report = run(model, "-o", out, "--surface-gap", "0.5")
+    # The copy of a tissue can't have tetrahedra of its own.
+    assert code == 1 and "M001" in codes(report, "lung_right_copy")
+    written = {path.stem for path in (out / "surfaces").glob("*.stl")}
+    assert written == names - {"lung_right_copy"}
+    assert main(["--quiet", "check", str(out / "surfaces"), "--gap", "0.5", "--no-cache"]) == 0
+    apart = json.loads((out / "surfaces" / "report.json").read_text())
+    assert apart["summary"]["passed"] and "heal" in apart["settings"]
+    assert any("set apart by 0.5 mm, they pass the gate" in note for note in report["tetmesh"]["notes"])
+    assert report["settings"]["tetmesh"]["surface-gap"] == 0.5
+    assert not list(out.glob(".*"))
+    for record in report["tetmesh"]["labels"]:
+        if record["tets"]:
+            assert (out / record["surface_file"]).is_file()
+            volume = next(tissue["volume_mm3"] for tissue in apart["tissues"] if tissue["name"] == record["name"])
+            assert volume == pytest.approx(record["volume_mm3"], rel=0.1)
+    # A gap that can't be had is told, and the command does not pass.
+    sheets = write(tmp_path / "sheets", a=box((0, 0, 0), (10, 10, 1)), b=box((0, 0, 1), (10, 10, 1.4)))
+    code, report = run(sheets, "-o", tmp_path / "thin", "--surface-gap", "30")
+    assert code in (1, 3) and any("do not pass the gate" in note for note in report["tetmesh"]["notes"])
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,7 @@ from vhp_cli.commands.common import (
     show_report,
     write_reports,
 )
-from vhp_cli.commands.options import comma_list, judging_options, model_options, run_options
+from vhp_cli.commands.options import comma_list, judging_options, model_options, report_html_option, run_options
 from vhp_cli.commands.staging import Shared
 from vhp_cli.errors import UsageError
 
@@ -52,6 +53,12 @@ _LENGTH = click.FloatRange(min=0, min_open=True)
 )
 @click.option("--per-tissue", is_flag=True, help="One mesh for each tissue, which do not fit to each other.")
 @click.option("--surfaces", is_flag=True, help="Write the boundary of each tissue as OUT/surfaces/NAME.stl, too.")
+@click.option(
+    "--surface-gap",
+    type=_LENGTH,
+    metavar="MM",
+    help="Heal these boundaries and set them apart by a gap, as `vhp heal --clearance` does.",
+)
 @click.option(
     "--edge-length",
     metavar="MM|%",
@@ -100,8 +107,9 @@ _LENGTH = click.FloatRange(min=0, min_open=True)
     multiple=True,
     metavar="FILE|-",
     help="Write the report to a file, in the form that its suffix names (.json .jsonl .csv .md .xml=JUnit .sarif "
-    ".txt); '-': JSON on stdout instead of the table. May be given several times.",
+    ".txt .html); '-': JSON on stdout instead of the table. May be given several times.",
 )
+@report_html_option
 @run_options
 @click.pass_context
 def tetmesh(
@@ -110,6 +118,7 @@ def tetmesh(
     forms: list[str],
     per_tissue: bool,
     surfaces: bool,
+    surface_gap: float | None,
     edge_length: str | None,
     epsilon: float | None,
     keep_surface: str | None,
@@ -152,10 +161,23 @@ def tetmesh(
     from vhp_cli.formats.volume import check_form
     from vhp_cli.model import find_model
     from vhp_cli.pipeline.tetmesh import Job, planned_files, prepare_output
+    from vhp_cli.pipeline.tetmesh_surfaces import Apart
 
     for form in forms:
         check_form(form)
-    job = Job(options, options_of, tuple(dict.fromkeys(forms)) or ("vtu",), per_tissue, surfaces)
+    apart = None
+    if surface_gap is not None:
+        if per_tissue:
+            raise UsageError("--surface-gap is for one mesh of all tissues, not for one mesh each")
+        apart = Apart(replace(request, gap=surface_gap).settings())
+    job = Job(
+        options,
+        options_of,
+        tuple(dict.fromkeys(forms)) or ("vtu",),
+        per_tissue,
+        surfaces or surface_gap is not None,
+        apart,
+    )
     targets = [report_target(report, None) for report in request.reports]
     model, output = request.model, request.output
     found = find_model(model, recursive=settings.recursive)
@@ -175,7 +197,7 @@ def tetmesh(
 
     from vhp_cli.pipeline.cache import default_directory
     from vhp_cli.pipeline.output import REPORT
-    from vhp_cli.pipeline.tetmesh import run_tetmesh
+    from vhp_cli.pipeline.tetmesh import SURFACES, run_tetmesh
 
     with ProgressBar(quiet=talk.get("quiet", False)) as progress:
         done = run_tetmesh(
@@ -190,12 +212,15 @@ def tetmesh(
             progress=progress,
         )
     report = done.report
+    apart_passed = done.surfaces is None or done.surfaces.passed
+    if done.surfaces is not None:
+        write_reports(done.surfaces.report, [(output / SURFACES / REPORT, "json")], report_base((output / SURFACES,)))
     write_reports(report, [*targets, (output / REPORT, "json")], report_base(model))
     to_stdout = next((target_form for path, target_form in targets if path is None), "table")
     show_report(report, to_stdout, report_base(model), **talk)
     if done.failed:
         ctx.exit(FAILED)
-    ctx.exit(PASSED if report["summary"]["passed"] else ERRORS)
+    ctx.exit(PASSED if report["summary"]["passed"] and apart_passed else ERRORS)
 
 
 def _options(settings: Settings, flags: Mapping[str, object]) -> tuple[TetmeshOptions, Callable[[str], TetmeshOptions]]:

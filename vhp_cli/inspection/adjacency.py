@@ -8,13 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vhp_cli.inspection.tetrahedra import FACES
+from vhp_cli.kernels.tetrahedra import equal_faces
 from vhp_cli.volume import Labels, Tetrahedra
 
 Ints = NDArray[np.int32]
 Indices = NDArray[np.int64]
-
-# Three point numbers of so many bits fit into one integer.
-_BITS = 21
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,9 +52,9 @@ def adjacency(tetrahedra: Tetrahedra) -> Adjacency:
         Point indices, positively oriented.
     """
     faces = tetrahedra[:, FACES].reshape(-1, 3)
-    order, same = _equal_neighbours(np.sort(faces, axis=1))
+    order, same = equal_faces(tetrahedra)
     # Position of each face's group of equal faces, and the size of the group.
-    starts = np.flatnonzero(np.concatenate(([True], ~same))) if len(faces) else np.empty(0, np.int64)
+    starts = np.flatnonzero(~same)
     sizes = np.diff(np.append(starts, len(faces)))
     single, double = starts[sizes == 1], starts[sizes == 2]
     first, second = order[double], order[double + 1]
@@ -71,19 +69,6 @@ def adjacency(tetrahedra: Tetrahedra) -> Adjacency:
         int((sizes > 2).sum()),
         np.flatnonzero(folded).astype(np.int32),
     )
-
-
-def _equal_neighbours(rows: Ints) -> tuple[Indices, NDArray[np.bool_]]:
-    """Return a stable order of rows (n, 3) in which equal ones are neighbours, and which equal the one before."""
-    if len(rows) and rows.max() < 1 << _BITS:
-        wide = rows.astype(np.int64)
-        key = (wide[:, 0] << 2 * _BITS) | (wide[:, 1] << _BITS) | wide[:, 2]
-        order = np.argsort(key, kind="stable")
-        key = key[order]
-        return order, key[1:] == key[:-1]
-    order = np.lexsort(rows.T[::-1])
-    rows = rows[order]
-    return order, (rows[1:] == rows[:-1]).all(axis=1)
 
 
 def _turn(faces: Ints) -> NDArray[np.bool_]:

@@ -12,16 +12,18 @@ from pathlib import Path, PurePosixPath
 
 from vhp_cli import formats
 from vhp_cli.config import Settings
-from vhp_cli.errors import UsageError, VhpError
+from vhp_cli.errors import UsageError
 from vhp_cli.formats.atomic import refused
 from vhp_cli.formats.volume import FORMS, write_volume
-from vhp_cli.measures import PairRecord, Report, TissueRecord
-from vhp_cli.model import Model, TissueFile
+from vhp_cli.measures import Report
+from vhp_cli.mesh import Mesh
+from vhp_cli.model import Model
 from vhp_cli.pipeline.check import Progress, available_cores, check_model
 from vhp_cli.pipeline.journal import engine_versions
-from vhp_cli.pipeline.measuring import parse_in_mm
 from vhp_cli.pipeline.output import REPORT, refuse_overlap, sole_writer
+from vhp_cli.pipeline.tetmesh_input import read_tissues, relations_of
 from vhp_cli.pipeline.tetmesh_report import MeshedPart, tetmesh_report
+from vhp_cli.pipeline.tetmesh_surfaces import Apart, SetApart, set_apart
 from vhp_cli.processes import CallFailed, stop_all
 from vhp_cli.stages.tetmesh.keep_surface import installed_engine
 from vhp_cli.stages.tetmesh.meshing import Meshed, NotMeshed, mesh_tissues
@@ -33,7 +35,6 @@ WHOLE = "model"
 SURFACES = "surfaces"
 # Gaps are measured at least so far: the envelope depends on the smallest one.
 _GAP_SEARCH_MM = 1.0
-_CONTACTS = ("crossing", "touching", "identical")
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +53,8 @@ class Job:
         One mesh for each tissue, instead of one of all.
     surfaces
         Whether the boundaries of the labels are written too.
+    apart
+        How these are healed and set apart; None: as they are.
     """
 
     options: TetmeshOptions
@@ -59,19 +62,22 @@ class Job:
     forms: tuple[str, ...] = ("vtu",)
     per_tissue: bool = False
     surfaces: bool = False
+    apart: Apart | None = None
 
     def as_dict(self) -> dict[str, object]:
         """Return everything, as the report stores it."""
         own = {"format": list(self.forms), "per-tissue": self.per_tissue, "surfaces": self.surfaces}
-        return {**self.options.as_dict(), **own}
+        gap = {"surface-gap": self.apart.gap_mm} if self.apart else {}
+        return {**self.options.as_dict(), **own, **gap}
 
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """The report, and whether a tissue could not be processed."""
+    """The report, whether a tissue could not be processed, and what became of surfaces that were set apart."""
 
     report: Report
     failed: bool
+    surfaces: SetApart | None = None
 
 
 def planned_files(model: Model, job: Job) -> dict[str, list[str]]:
@@ -178,12 +184,13 @@ def run_tetmesh(
     _make_directory(out)
     with sole_writer(out):
         _clear(out)
-        tissues = read_tissues(model, before.report, job, settings)
+        tissues = read_tissues(model, before.report, settings, job.options_of, job.options.edge_length)
         started = time.perf_counter()
         if job.per_tissue:
             parts = _one_by_one(tissues, out, job, files, threads, progress)
         else:
             parts = [_one(tissues, relations_of(before.report), out, job, "", files[""], threads, progress)]
+        surfaces = _apart(parts, out, job, jobs, cache_directory, progress)
         seconds = time.perf_counter() - started
         report, failed = tetmesh_report(before.report, parts, settings, job.as_dict(), per_tissue=job.per_tissue)
     steps = before.report["run"]["seconds"]
@@ -197,7 +204,7 @@ def run_tetmesh(
         "engines": {name: version for name, version in engine_versions().items() if version},
         **_peak_memory(),
     }
-    return Done(report, failed or before.failed)
+    return Done(report, failed or before.failed or bool(surfaces and surfaces.failed), surfaces)
 
 
 def _peak_memory() -> dict[str, object]:
@@ -209,78 +216,6 @@ def _peak_memory() -> dict[str, object]:
     unit = 2**20 if sys.platform == "darwin" else 2**10
     who = {"peak_memory_mb": resource.RUSAGE_SELF, "engine_peak_memory_mb": resource.RUSAGE_CHILDREN}
     return {key: round(resource.getrusage(process).ru_maxrss / unit, 1) for key, process in who.items()}
-
-
-def read_tissues(model: Model, report: Report, job: Job, settings: Settings) -> list[Tissue]:
-    """Return the tissues that can be meshed: those of which the check could measure something."""
-    in_contact = {
-        name
-        for pair in report["pairs"]
-        if pair["relation"] in _CONTACTS or pair["undecided"]
-        for name in (pair["a"], pair["b"])
-    }
-    defects: dict[str, list[str]] = {}
-    for finding in report["findings"]:
-        if len(finding["tissues"]) == 1 and finding["level"] == "error" and finding["rule"][0] in "TX":
-            defects.setdefault(finding["tissues"][0], []).append(finding["rule"])
-    found = []
-    for source, record in zip(model.tissues, report["tissues"], strict=True):
-        if not record["bounds_mm"]:
-            continue
-        data = formats.read_bytes(source.path)
-        if formats.sha256(data) != record["sha256"]:
-            raise VhpError(f"{source.file} changed during the run", hint="run the command again")
-        options = job.options_of(source.name)
-        own = options.edge_length != job.options.edge_length and not job.per_tissue
-        found.append(_tissue(source, record, data, settings, options, own, source.name in in_contact, defects))
-    return found
-
-
-def _tissue(
-    source: TissueFile,
-    record: TissueRecord,
-    data: bytes,
-    settings: Settings,
-    options: TetmeshOptions,
-    own_length: bool,
-    in_contact: bool,
-    defects: Mapping[str, list[str]],
-) -> Tissue:
-    crosses_itself = record["self_intersections"]["pairs"] > 0
-    sound = record["closed"] and record["manifold"] and record["oriented"] and not crosses_itself
-    # Of a surface in one part it does not matter which way it faces.
-    solid = sound and (record["outward"] or record["components"] == 1)
-    return Tissue(
-        source.name,
-        parse_in_mm(source.path, data, settings).mesh,
-        abs(record["volume_mm3"]) if solid else None,
-        clean=sound and record["outward"] and not in_contact,
-        defects=tuple(defects.get(source.name, ())),
-        priority=options.priority,
-        edge_length=options.edge_length if own_length else None,
-    )
-
-
-def relations_of(report: Report) -> Relations:
-    """Return how the tissues of a checked model lie to each other."""
-    containers: dict[str, set[str]] = {}
-    overlaps: dict[tuple[str, str], float] = {}
-    gaps = []
-    for pair in report["pairs"]:
-        a, b = pair["a"], pair["b"]
-        if pair["inside"]:
-            inner, outer = (a, b) if pair["inside"] == "a" else (b, a)
-            containers.setdefault(inner, set()).add(outer)
-        elif pair["relation"] in ("crossing", "identical"):
-            overlaps[a, b] = pair["overlap_mm3"]
-        if pair["min_gap_mm"] and _is_apart(pair):
-            gaps.append(pair["min_gap_mm"])
-    inside = {name: frozenset(found) for name, found in containers.items()}
-    return Relations(inside, overlaps, min(gaps, default=None))
-
-
-def _is_apart(pair: PairRecord) -> bool:
-    return pair["relation"] in ("disjoint", "a_inside_b", "b_inside_a")
 
 
 def _one_by_one(
@@ -300,7 +235,9 @@ def _one_by_one(
             for index in order:
                 tissue = tissues[index]
                 own = replace(job, options=job.options_of(tissue.name))
-                arguments = ([tissue], Relations(), out, own, tissue.name, files[tissue.name], 1, None)
+                # Its edge length is that of its whole mesh.
+                alone = [replace(tissue, edge_length=None)]
+                arguments = (alone, Relations(), out, own, tissue.name, files[tissue.name], 1, None)
                 futures[executor.submit(_one, *arguments)] = index
             for done, future in enumerate(as_completed(futures), start=1):
                 parts[futures[future]] = future.result()
@@ -329,6 +266,7 @@ def _one(
     meshed: Meshed | None = None
     attempts, seconds, failure = [], {}, ""
     surface_files: dict[str, str] = {}
+    shared: dict[str, Mesh] = {}
     notes: list[str] = []
     try:
         if not tissues:
@@ -349,12 +287,37 @@ def _one(
         if job.surfaces:
             for tissue, mesh in tissue_surfaces(meshed.mesh, relations.containers).items():
                 file = f"{SURFACES}/{_below(tissue)}.stl"
+                surface_files[tissue] = file
+                if job.apart is not None:
+                    shared[tissue] = mesh
+                    continue
                 _make_directory((out / file).parent)
                 formats.write_mesh(out / file, mesh)
-                surface_files[tissue] = file
         seconds["write"] = round(time.perf_counter() - moment, 4)
     seconds["total"] = round(time.perf_counter() - started, 4)
-    return MeshedPart(name, meshed, attempts, failure, written, surface_files, notes, seconds)
+    return MeshedPart(name, meshed, attempts, failure, written, surface_files, notes, seconds, shared)
+
+
+def _apart(
+    parts: Sequence[MeshedPart],
+    out: Path,
+    job: Job,
+    jobs: int | None,
+    cache_directory: Path | None,
+    progress: Progress | None,
+) -> SetApart | None:
+    """Write the surfaces set apart, if that was asked for, and say in the notes what they are like."""
+    surfaces = {name: mesh for part in parts for name, mesh in part.shared_surfaces.items()}
+    if job.apart is None or not surfaces:
+        return None
+    files = {name: file.removeprefix(f"{SURFACES}/") for part in parts for name, file in part.surface_files.items()}
+    made = set_apart(
+        surfaces, files, out / SURFACES, job.apart, jobs=jobs, cache_directory=cache_directory, progress=progress
+    )
+    counts = ", ".join(f"{code} {count}" for code, count in made.report["summary"]["counts"].items())
+    verdict = "pass the gate" if made.passed else f"do not pass the gate ({counts})"
+    parts[0].notes.append(f"{SURFACES}: healed and set apart by {job.apart.gap_mm:g} mm, they {verdict}")
+    return made
 
 
 def _below(name: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from vhp_cli.measures import (
     TetmeshOverlap,
     TissueRecord,
 )
+from vhp_cli.mesh import Mesh
 from vhp_cli.pipeline.check import with_findings
 from vhp_cli.stages.tetmesh.measuring import shape
 from vhp_cli.stages.tetmesh.meshing import ENVELOPE_ENGINE, Meshed
@@ -54,6 +55,8 @@ class MeshedPart:
         On what was written.
     seconds
         How long each step took.
+    shared_surfaces
+        The boundaries that are still to be set apart, by tissue.
     """
 
     name: str
@@ -64,6 +67,7 @@ class MeshedPart:
     surface_files: dict[str, str]
     notes: list[str]
     seconds: dict[str, float]
+    shared_surfaces: dict[str, Mesh] = field(default_factory=dict)
 
 
 def tetmesh_report(

@@ -8,7 +8,7 @@ from shapes import sphere
 
 from vhp_cli.inspection.tetrahedra import tetrahedron_quality
 from vhp_cli.kernels.spatial import Tree
-from vhp_cli.stages.tetmesh.fitting import fit_to_surfaces
+from vhp_cli.stages.tetmesh.fitting import fit_to_surfaces, match_volumes
 from vhp_cli.stages.tetmesh.relaxing import Floor
 from vhp_cli.volume import VolumeMesh, volumes
 
@@ -96,3 +96,52 @@ def test_what_is_cut_off_may_suffer_but_not_turn_over():
     kept = flat.labels == 2
     fitted = fit_to_surfaces(flat, TREES, 1.0, kept=kept, floor=Floor(40.0, 0.8))
     assert volumes(fitted.points, fitted.tetrahedra).min() > 0
+
+
+CORE, SHELL = BALL * R_IN**3, BALL * R_OUT**3
+GOALS = {frozenset((2,)): CORE, frozenset((1, 2)): SHELL}
+
+
+def test_volumes_are_matched():
+    flat = onion(shrink=0.99)
+    assert abs(volume_of(flat, 2) / CORE - 1) > 0.03
+    matched = match_volumes(flat, GOALS, 0.5)
+    assert volume_of(matched, 2) == pytest.approx(CORE, rel=2e-4)
+    assert volume_of(matched, 1) == pytest.approx(SHELL - CORE, rel=2e-4)
+    # Along the normals, and nothing but the two surfaces.
+    moved = np.linalg.norm(matched.points - flat.points, axis=1)
+    reach = np.linalg.norm(flat.points, axis=1)
+    at_interface = np.isclose(reach, 0.99 * R_IN) | np.isclose(reach, 0.99 * R_OUT)
+    assert (moved[~at_interface] == 0).all()
+    assert moved.max() < 2.1 * moved[moved > 0].min()
+    # What is right stays to the last bit, and a tissue without a goal, too.
+    assert (match_volumes(matched, GOALS, 0.5).points == matched.points).all()
+    assert volume_of(match_volumes(flat, {frozenset((2,)): CORE}, 0.5), 1) != volume_of(flat, 1)
+    assert (match_volumes(flat, {}, 0.5).points == flat.points).all()
+
+
+def test_those_that_can_move_make_up_for_those_that_can_not():
+    """A core of which one point stays, as its tetrahedra are bad already."""
+    flat = onion(shrink=0.99)
+    points = flat.points.copy()
+    on_core = np.flatnonzero(np.isclose(np.linalg.norm(points, axis=1), 0.99 * R_IN))
+    stuck = on_core[0]
+    points[stuck] *= 1.45
+    mesh = VolumeMesh(points, flat.tetrahedra, flat.labels, flat.names)
+    floor = Floor(30.0, 0.6)
+    before = tetrahedron_quality(mesh.points, mesh.tetrahedra)
+    matched = match_volumes(mesh, {frozenset((2,)): CORE}, 0.5, floor=floor)
+    assert volume_of(matched, 2) == pytest.approx(CORE, rel=1e-3)
+    after = tetrahedron_quality(matched.points, matched.tetrahedra)
+    assert (after.min_dihedral_deg >= np.minimum(before.min_dihedral_deg, 30) - 1e-9).all()
+
+
+def test_the_limit_of_matching_holds_and_common_walls_stay():
+    flat = onion(shrink=0.95)
+    moved = np.linalg.norm(match_volumes(flat, GOALS, 0.05).points - flat.points, axis=1)
+    assert moved.max() <= 0.05 + 1e-12 and moved.max() > 0.049
+    # Two tissues side by side, neither in the other: only the outer wall is free.
+    beside = {frozenset((2,)): CORE, frozenset((1,)): SHELL - CORE}
+    moved = np.linalg.norm(match_volumes(flat, beside, 0.2).points - flat.points, axis=1)
+    inner = np.linalg.norm(flat.points, axis=1) < 0.99 * R_IN
+    assert (moved[inner] == 0).all() and (moved[~inner] > 0).any()

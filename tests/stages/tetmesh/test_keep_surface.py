@@ -17,10 +17,12 @@ from vhp_cli.mesh import Mesh
 from vhp_cli.processes import CallFailed
 from vhp_cli.stages.tetmesh import keep_surface as module
 from vhp_cli.stages.tetmesh.keep_surface import (
+    improved,
     installed_engine,
     keep_surface,
     missing_triangles,
     regions_between,
+    relaxed,
     united,
 )
 from vhp_cli.volume import volumes
@@ -131,14 +133,32 @@ def test_the_same_surfaces_give_the_same_bytes(engine):
     assert first.tetrahedra.tobytes() == second.tetrahedra.tobytes()
 
 
+def least_angle(mesh):
+    return tetrahedron_quality(mesh.points, mesh.tetrahedra).min_dihedral_deg.min()
+
+
+def test_shapes_are_bettered_between_the_triangles():
+    need("tetgen")
+    plain = keep_surface(NESTED, engine="tetgen", improve=False, timeout_s=TIMEOUT)
+    triangles = united(NESTED)
+    better = relaxed(plain, triangles)
+    assert least_angle(better) > least_angle(plain) + 3
+    assert not len(missing_triangles(triangles, better.points, better.tetrahedra))
+    assert (better.regions == regions_between(triangles, better.points, better.tetrahedra)).all()
+    sizes = [np.bincount(mesh.regions, volumes(mesh.points, mesh.tetrahedra)) for mesh in (plain, better)]
+    assert sizes[1] == pytest.approx(sizes[0], rel=1e-9)
+
+
 def test_mmg_makes_better_shapes_or_leaves_them():
     need("tetgen", "mmg")
     plain = keep_surface(NESTED, engine="tetgen", improve=False, timeout_s=TIMEOUT)
     better = keep_surface(NESTED, engine="tetgen", improve=True, timeout_s=TIMEOUT)
-    angles = [tetrahedron_quality(mesh.points, mesh.tetrahedra).min_dihedral_deg.min() for mesh in (plain, better)]
     assert plain.notes == ()
-    assert angles[1] > angles[0] + 5
-    assert better.notes[0].startswith("improved by mmg: smallest dihedral angle from")
+    assert least_angle(better) > least_angle(plain) + 5
+    assert "improved by mmg: " in better.notes[0]
+    by_mmg = improved(plain, united(NESTED), timeout_s=TIMEOUT)
+    assert least_angle(by_mmg) > least_angle(plain) + 5
+    assert by_mmg.notes[0].startswith("improved by mmg: smallest dihedral angle from")
 
 
 # With an engine in the place of the real ones

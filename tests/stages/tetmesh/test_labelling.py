@@ -7,8 +7,17 @@ import pytest
 from shapes import box, flipped, joined, moved, sphere
 from tetrahedron_grids import grid
 
+from vhp_cli.kernels.spatial import Tree
 from vhp_cli.mesh import Mesh
-from vhp_cli.stages.tetmesh.labelling import enclosed_volume, in_box, label_tetrahedra, precedence, smallest_containers
+from vhp_cli.stages.tetmesh.labelling import (
+    enclosed_volume,
+    in_box,
+    label_tetrahedra,
+    precedence,
+    smallest_containers,
+    within,
+    within_solid,
+)
 from vhp_cli.stages.tetmesh.tissues import Tissue, trees
 from vhp_cli.volume import volumes
 
@@ -141,3 +150,25 @@ def test_box():
     points, tetrahedra = cells(10.0, 5)
     inside = in_box(points, tetrahedra, (np.array([-1.0, -5, -5]), np.array([3.0, 5, 5])))
     assert volumes(points, tetrahedra)[inside].sum() == pytest.approx(400)
+
+
+def test_cells_far_from_a_solid_are_asked_for_once(monkeypatch):
+    """The same answers as one by one, with far fewer questions."""
+    outer, inner = sphere(10.0, subdivisions=4), sphere(4.0, subdivisions=3)
+    hollow = Tree(
+        np.concatenate((outer.vertices, inner.vertices)),
+        np.concatenate((outer.faces, inner.faces[:, ::-1] + len(outer.vertices))).astype(np.int32),
+    )
+    points = np.random.default_rng(0).uniform(-12, 12, (20_000, 3))
+    asked = []
+    real = Tree.winding
+    monkeypatch.setattr(Tree, "winding", lambda tree, places: asked.append(len(places)) or real(tree, places))
+    each = within(hollow, points)
+    one_by_one, asked[:] = sum(asked), []
+    assert (within_solid(hollow, points) == each).all()
+    assert 0 < sum(asked) < 0.7 * one_by_one
+    assert 0.2 < each.mean() < 0.4
+    few = points[:10]
+    assert (within_solid(hollow, few) == within(hollow, few)).all()
+    nothing = Tree(np.empty((0, 3)), np.empty((0, 3), np.int32))
+    assert not within_solid(nothing, few).any()

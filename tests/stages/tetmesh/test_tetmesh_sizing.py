@@ -63,6 +63,12 @@ def test_the_envelope_is_below_half_of_what_is_thin():
     assert envelope(small, small_tree, None, 30.0)[0] == pytest.approx(0.03)
     chosen, reason = envelope(found, surfaces, 1e-6, 1000.0)
     assert chosen == pytest.approx(0.02) and "least" in reason
+    # Tissues that lie beside each other are kept apart where that does not cost too much.
+    chosen, reason = envelope(found, surfaces, None, diagonal(found), 0.5)
+    assert chosen == pytest.approx(0.2) and "distance" in reason
+    chosen, reason = envelope(found, surfaces, None, diagonal(found), 0.01)
+    assert chosen == 0.25 and "may touch" in reason
+    assert envelope(found, surfaces, None, diagonal(found), 0.7)[0] == 0.25
 
 
 def test_walls():

@@ -8,25 +8,27 @@ to first order. No tetrahedron may become worse than a limit, or than it was.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vhp_cli.inspection.adjacency import adjacency, interfaces
-from vhp_cli.inspection.tetrahedra import tetrahedron_quality
+from vhp_cli.inspection.adjacency import Interfaces, adjacency, interfaces
 from vhp_cli.kernels.measuring import closest
 from vhp_cli.kernels.spatial import Tree
+from vhp_cli.kernels.tetrahedra import advance
 from vhp_cli.stages.tetmesh.relaxing import UNUSED, Floor
-from vhp_cli.volume import BACKGROUND, Points, Tetrahedra, VolumeMesh
+from vhp_cli.volume import BACKGROUND, Points, Tetrahedra, VolumeMesh, volumes
 
 Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 _ROUNDS = 2
-# Parts of a step that are tried: all, a half, and so on down to this.
-_LEAST_SHARE = 1 / 8
+_VOLUME_ROUNDS = 6
+# Of its volume, what a tissue may be off before anything is done about it.
+_VOLUME_TOLERANCE = 1e-4
 _CHUNK = 16_384
 
 
@@ -35,7 +37,7 @@ def fit_to_surfaces(
     trees: Sequence[Tree],
     limit_mm: float,
     *,
-    kept: NDArray[np.bool_] | None = None,
+    kept: Mask | None = None,
     floor: Floor | None = None,
     threads: int = 1,
 ) -> VolumeMesh:
@@ -62,22 +64,131 @@ def fit_to_surfaces(
     triangles, sides = between.triangles[chosen], between.sides[chosen]
     if not len(triangles) or limit_mm <= 0:
         return mesh
-    moving = np.unique(triangles)
-    touched = np.zeros(len(mesh.points), np.bool_)
-    touched[moving] = True
-    around = np.flatnonzero(touched[mesh.tetrahedra].any(axis=1))
-    tetrahedra = mesh.tetrahedra[around]
-    used = np.ones(len(around), np.bool_) if kept is None else kept[around]
-    least = floor or Floor()
-    least_angle = np.where(used, least.min_dihedral_deg, UNUSED.min_dihedral_deg)
-    least_ratio = np.where(used, least.radius_ratio, UNUSED.radius_ratio)
-    start, points = mesh.points, mesh.points.copy()
+    guard = _Guard(mesh.tetrahedra, np.unique(triangles), kept, floor or Floor())
+    start, points = mesh.points, mesh.points
     with ThreadPoolExecutor(max(threads, 1)) as executor:
         for _ in range(_ROUNDS):
             step = _mean_offsets(points, triangles, sides, trees, 2 * limit_mm, executor)
             step = _clipped(points + step - start, limit_mm) + start - points
-            points = _guarded(points, step, tetrahedra, least_angle, least_ratio)
+            points, _ = guard.advance(points, step[guard.moving])
     return replace(mesh, points=points)
+
+
+def match_volumes(
+    mesh: VolumeMesh,
+    goals_mm3: Mapping[frozenset[int], float],
+    limit_mm: float,
+    *,
+    kept: Mask | None = None,
+    floor: Floor | None = None,
+) -> VolumeMesh:
+    """Return a mesh whose tissues have the volumes of their surfaces, as far as the shape of tetrahedra allows.
+
+    Where some vertices could not follow the surface, the others of it make up for them: the boundary of a tissue moves
+    along its normals, by the same distance everywhere. Where it is that of a neighbour, too, it stays.
+
+    Parameters
+    ----------
+    mesh
+        The mesh.
+    goals_mm3
+        The volume within each surface, by the labels that lie there.
+    limit_mm
+        How far a vertex may move.
+    kept, floor
+        As of `fit_to_surfaces`.
+    """
+    between = interfaces(adjacency(mesh.tetrahedra), mesh.labels)
+    goals = sorted(goals_mm3.items(), key=lambda goal: sorted(goal[0]))
+    owner, outward = _owners(mesh, between, [labels for labels, _ in goals])
+    moving = np.flatnonzero(owner >= 0).astype(np.int32)
+    if not len(moving) or limit_mm <= 0:
+        return mesh
+    member = np.zeros((len(goals), int(mesh.labels.max()) + 1))
+    for number, (labels, _) in enumerate(goals):
+        member[number, [label for label in labels if label < member.shape[1]]] = 1
+    guard = _Guard(mesh.tetrahedra, moving, kept, floor or Floor())
+    own, wanted = owner[moving], np.array([volume for _, volume in goals])
+    points, free = mesh.points, np.ones(len(moving), np.bool_)
+    for _ in range(_VOLUME_ROUNDS):
+        sizes = np.bincount(mesh.labels, volumes(points, mesh.tetrahedra), member.shape[1])
+        lacking = wanted - member @ sizes
+        lacking[np.abs(lacking) <= _VOLUME_TOLERANCE * wanted] = 0.0
+        if not lacking.any():
+            break
+        gradient = _volume_gradient(points, outward, moving)
+        slope = np.linalg.norm(gradient, axis=1)
+        room = np.bincount(own[free], slope[free], len(goals))
+        distance = np.divide(lacking, room, out=np.zeros_like(lacking), where=room > 0)
+        normals = gradient / np.maximum(slope, 1e-300)[:, None]
+        ways = np.where(free, distance[own], 0.0)[:, None] * normals
+        ways = _clipped(points[moving] + ways - mesh.points[moving], limit_mm) + mesh.points[moving] - points[moving]
+        points, parts = guard.advance(points, ways)
+        free &= parts == 1
+    return replace(mesh, points=points)
+
+
+def _owners(
+    mesh: VolumeMesh, between: Interfaces, goals: Sequence[frozenset[int]]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Return whose boundary each point lies on (N,), and the triangles of boundaries, seen from outside of them.
+
+    -1 for points on no boundary, on that of several tissues, or where more than two labels meet.
+    """
+    labels = int(between.sides.max(initial=0)) + 2
+    inside = np.zeros((len(goals), labels), np.bool_)
+    for number, goal in enumerate(goals):
+        inside[number, [label for label in goal if label < labels]] = True
+    # The last column stands for what is outside of the mesh.
+    first, second = between.sides.T
+    owner = np.full(len(between.sides), -1, np.int32)
+    count = np.zeros(len(between.sides), np.int32)
+    turned = np.zeros(len(between.sides), np.bool_)
+    for number in range(len(goals)):
+        in_first, in_second = inside[number, first], inside[number, second]
+        bounds = in_first != in_second
+        owner[bounds], turned[bounds] = number, in_second[bounds]
+        count += bounds
+    owner[count != 1] = -1
+    triangles = np.where(turned[:, None], between.triangles[:, ::-1], between.triangles)
+    low, high = np.full(len(mesh.points), len(goals)), np.full(len(mesh.points), -2)
+    np.minimum.at(low, triangles.ravel(), np.repeat(owner, 3))
+    np.maximum.at(high, triangles.ravel(), np.repeat(owner, 3))
+    return np.where(low == high, high, -1).astype(np.int32), triangles[owner >= 0]
+
+
+def _volume_gradient(points: Points, triangles: NDArray[np.int32], moving: NDArray[np.int32]) -> Floats:
+    """Return by how much the volume within triangles grows per mm that some points (K,) move, as vectors (K, 3)."""
+    a, b, c = (points[triangles[:, corner]] for corner in range(3))
+    shares = np.cross(b - a, c - a) / 6
+    flat = triangles.ravel()
+    total = [np.bincount(flat, np.repeat(shares[:, axis], 3), len(points))[moving] for axis in range(3)]
+    return np.stack(total, axis=1)
+
+
+class _Guard:
+    """Moves points as far as the tetrahedra around them allow."""
+
+    def __init__(self, tetrahedra: Tetrahedra, moving: NDArray[np.integer], kept: Mask | None, floor: Floor) -> None:
+        self.moving = moving.astype(np.int32)
+        touched = np.zeros(int(tetrahedra.max(initial=-1)) + 1, np.bool_)
+        touched[moving] = True
+        around = touched[tetrahedra].any(axis=1)
+        self._tetrahedra = tetrahedra[around]
+        self._used = np.ones(len(self._tetrahedra), np.bool_) if kept is None else kept[around]
+        self._floor = floor
+
+    def advance(self, points: Points, ways: Floats) -> tuple[Points, Floats]:
+        """Return all points, with those that move on their ways (K, 3), and how much of these they went (K,)."""
+        return advance(
+            points,
+            self._tetrahedra,
+            self._used,
+            target=self._floor.target,
+            unused=UNUSED.target,
+            moving=self.moving,
+            ways=ways,
+        )
 
 
 def _mean_offsets(
@@ -126,30 +237,3 @@ def _clipped(ways: Floats, limit_mm: float) -> Floats:
     lengths = np.linalg.norm(ways, axis=1, keepdims=True)
     scaled: Floats = ways * np.minimum(1.0, limit_mm / np.maximum(lengths, limit_mm))
     return scaled
-
-
-def _guarded(points: Points, step: Floats, tetrahedra: Tetrahedra, least_angle: Floats, least_ratio: Floats) -> Points:
-    """Return the points moved by as much of a step as their tetrahedra allow."""
-    before = tetrahedron_quality(points, tetrahedra)
-    least_angle = np.minimum(before.min_dihedral_deg, least_angle)
-    least_ratio = np.minimum(before.radius_ratio, least_ratio)
-    share = np.ones(len(points))
-    affected = np.arange(len(tetrahedra))
-    while len(affected):
-        moved = points + share[:, None] * step
-        after = tetrahedron_quality(moved, tetrahedra[affected])
-        bad = (
-            (after.volume <= 0)
-            | (after.min_dihedral_deg < least_angle[affected])
-            | (after.radius_ratio < least_ratio[affected])
-        )
-        corners = np.unique(tetrahedra[affected[bad]])
-        # Where none of the corners moves any more, the tetrahedron is what it was.
-        corners = corners[share[corners] > 0]
-        if not len(corners):
-            break
-        share[corners] = np.where(share[corners] > _LEAST_SHARE, share[corners] / 2, 0.0)
-        changed = np.zeros(len(points), np.bool_)
-        changed[corners] = True
-        affected = np.flatnonzero(changed[tetrahedra].any(axis=1))
-    return points + share[:, None] * step

@@ -20,7 +20,8 @@ from vhp_cli.inspection.tetrahedra import FACES, tetrahedron_quality
 from vhp_cli.kernels.reading import weld
 from vhp_cli.mesh import Mesh
 from vhp_cli.processes import CallFailed
-from vhp_cli.volume import Points, Tetrahedra, volumes
+from vhp_cli.stages.tetmesh.relaxing import Floor, Parted, relax
+from vhp_cli.volume import Points, Tetrahedra, VolumeMesh, volumes
 
 ExactEngine = Literal["tetgen", "gmsh"]
 
@@ -90,7 +91,8 @@ def keep_surface(
     edge_length_mm
         Length that edges away from the surfaces should not exceed; None: as the triangles ask.
     improve
-        Let MMG better the shapes, where it is installed. The better of the two meshes is taken.
+        Better the shapes between the triangles, by swaps and moves, and then by MMG, where it is installed and does
+        better still.
     timeout_s, memory_gb
         Limits of all calls together, and of each.
 
@@ -114,10 +116,34 @@ def keep_surface(
             f"not in its mesh, the first at ({place}) mm",
         )
     made = ExactMesh(points, tetrahedra, regions_between(triangles, points, tetrahedra), ())
-    if not improve or not engines.ENGINES["mmg"].available:
+    if not improve:
+        return made
+    made = relaxed(made, triangles)
+    if not engines.ENGINES["mmg"].available:
         return made
     left = None if deadline is None else max(deadline - time.monotonic(), 0.001)
     return improved(made, triangles, timeout_s=left, memory_gb=memory_gb)
+
+
+def relaxed(mesh: ExactMesh, triangles: Mesh) -> ExactMesh:
+    """Return a mesh with better tetrahedra between the triangles, or as it was where a triangle would be lost.
+
+    Parameters
+    ----------
+    mesh
+        What the engine made.
+    triangles
+        Those that stay, from `united`.
+    """
+    count = int(mesh.regions.max(initial=-1)) + 1
+    names = tuple(str(number) for number in range(count))
+    whole = VolumeMesh(mesh.points, mesh.tetrahedra, mesh.regions + 1, names)
+    kept = np.ones(len(mesh.tetrahedra), np.bool_)
+    better = relax(Parted(whole, kept, mesh.regions), Floor(), 0.0, inner_only=True)
+    points, tetrahedra = better.mesh.points, better.mesh.tetrahedra
+    if len(missing_triangles(triangles, points, tetrahedra)):
+        return mesh
+    return ExactMesh(points, tetrahedra, better.regions, mesh.notes)
 
 
 def improved(

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vhp_cli.kernels.measuring import closest
 from vhp_cli.kernels.spatial import Tree
 from vhp_cli.stages.tetmesh.tissues import Box, Tissue
 from vhp_cli.volume import BACKGROUND, Labels, Points, Tetrahedra, volumes
@@ -18,6 +19,10 @@ from vhp_cli.volume import BACKGROUND, Labels, Points, Tetrahedra, volumes
 INSIDE = 0.5
 # Points asked for at once by a thread.
 _CHUNK = 16_384
+# Cells along the longest side of a box, level by level: those far from the surface are asked for once.
+_CELLS = (12, 48, 144)
+# Cells that hold fewer points than this in the mean save nothing.
+_POINTS_PER_CELL = 3
 # Points along each side of a grid by which the volume of a surface that is not sound is estimated.
 _GRID = 24
 
@@ -106,6 +111,7 @@ def label_tetrahedra(
     *,
     parents: Sequence[int | None] | None = None,
     regions: NDArray[np.int32] | None = None,
+    solid: Sequence[bool] | None = None,
     threads: int = 1,
 ) -> Labelling:
     """Give each tetrahedron the last tissue, in an order, that holds its centroid.
@@ -123,6 +129,9 @@ def label_tetrahedra(
     regions : (M,) int32
         Tetrahedra that no surface parts, numbered from 0: all of a region are what its largest one is. None: each is
         looked at.
+    solid
+        Which surfaces are closed and oriented, so that points that they do not part are either inside or outside
+        together. None: unknown.
     threads
         How many to use; the result does not depend on it.
     """
@@ -136,11 +145,12 @@ def label_tetrahedra(
     with ThreadPoolExecutor(max(threads, 1)) as executor:
         for number in order:
             parent = parents[number] if parents else None
+            test = within_solid if solid and solid[number] else within
             if regions is None and parent in held:
                 candidates = held[parent]
-                inside = candidates[within(trees[number], centroids[candidates], executor)]
+                inside = candidates[test(trees[number], centroids[candidates], executor)]
             elif regions is None:
-                inside = np.flatnonzero(within(trees[number], centroids, executor)).astype(np.int32)
+                inside = np.flatnonzero(test(trees[number], centroids, executor)).astype(np.int32)
             else:
                 inside = np.flatnonzero(within(trees[number], centroids, executor)[regions]).astype(np.int32)
             labels[inside] = number + 1
@@ -158,6 +168,33 @@ def within(tree: Tree, points: Points, executor: ThreadPoolExecutor | None = Non
     found = list((executor.map if executor else map)(tree.winding, chunks))
     if found:
         inside[near] = np.abs(np.concatenate(found)) > INSIDE
+    return inside
+
+
+def within_solid(tree: Tree, points: Points, executor: ThreadPoolExecutor | None = None) -> NDArray[np.bool_]:
+    """Tell the same of a closed, oriented surface; points far from it are asked for together, cell by cell."""
+    inside = np.zeros(len(points), np.bool_)
+    if not tree.n_faces:
+        return inside
+    left = np.flatnonzero(((points >= tree.lower) & (points <= tree.upper)).all(axis=1))
+    longest = float((tree.upper - tree.lower).max())
+    for count in _CELLS:
+        edge = longest / count
+        index = np.minimum(((points[left] - tree.lower) / edge).astype(np.int64), count - 1)
+        keys, cell = np.unique((index[:, 0] * count + index[:, 1]) * count + index[:, 2], return_inverse=True)
+        if _POINTS_PER_CELL * len(keys) > len(left):
+            break
+        places = np.column_stack((keys // count**2, keys // count % count, keys % count))
+        centres = tree.lower + (places + 0.5) * edge
+        # No point of a cell is farther from its centre than a half of its diagonal.
+        reach = edge * np.sqrt(3.0) / 2 * (1 + 1e-6)
+        far = np.isinf(closest(tree, centres, reach).distances)
+        inner = np.zeros(len(keys), np.bool_)
+        inner[far] = np.abs(tree.winding(centres[far])) > INSIDE
+        decided = far[cell]
+        inside[left[decided]] = inner[cell[decided]]
+        left = left[~decided]
+    inside[left] = within(tree, points[left], executor)
     return inside
 
 

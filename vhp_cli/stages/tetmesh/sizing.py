@@ -21,6 +21,8 @@ _MOST_ENVELOPE = 1e-3
 _LEAST_ENVELOPE = 2e-5
 # Two surfaces that each move by less than half of the gap between them stay apart.
 _SHARE_OF_GAP = 0.4
+# To keep tissues apart that lie beside each other, the envelope becomes so many times as thin at most.
+_LEAST_FOR_DISTANCE = 0.5
 # Of each surface so many faces are sampled, and so many of the walls below them may be thinner than assumed.
 _WALL_SAMPLES = 2000
 _THIN_WALLS = 0.05
@@ -29,7 +31,11 @@ _CELLS = 32
 
 
 def envelope(
-    tissues: Sequence[Tissue], trees: Sequence[Tree], gap_mm: float | None, diagonal_mm: float
+    tissues: Sequence[Tissue],
+    trees: Sequence[Tree],
+    gap_mm: float | None,
+    diagonal_mm: float,
+    distance_mm: float | None = None,
 ) -> tuple[float, str]:
     """Choose how far the mesh may lie from the surfaces: below half of what keeps them apart.
 
@@ -38,9 +44,12 @@ def envelope(
     tissues, trees
         The tissues and their surfaces.
     gap_mm
-        The smallest gap between tissues that do not meet; None: there is none.
+        The smallest gap between a tissue and one that lies in it: a layer of tissue. None: there is none.
     diagonal_mm
         Of the model.
+    distance_mm
+        The smallest distance of tissues that lie apart; None: there is none. Where it is very small, they may touch in
+        the mesh, which does less harm than a mesh as fine as that would.
 
     Returns
     -------
@@ -61,6 +70,11 @@ def envelope(
     least = _LEAST_ENVELOPE * diagonal_mm
     if chosen < least:
         return least, f"{_LEAST_ENVELOPE:g} of the diagonal, the least; {reason} would be {chosen:.3g} mm"
+    if distance_mm and _SHARE_OF_GAP * distance_mm < chosen:
+        apart = _SHARE_OF_GAP * distance_mm
+        if apart < _LEAST_FOR_DISTANCE * chosen:
+            return chosen, f"{reason}; tissues only {distance_mm:.3g} mm apart may touch"
+        return apart, f"{_SHARE_OF_GAP:g} of the smallest distance of tissues, {distance_mm:.3g} mm"
     return chosen, reason
 
 

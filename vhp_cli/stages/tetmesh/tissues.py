@@ -59,12 +59,15 @@ class Relations:
     overlaps_mm3
         Common volume of the pairs of tissues that overlap without one lying in the other; 0 where it is not known.
     smallest_gap_mm
-        The smallest gap between two tissues that do not meet; None: none was found.
+        The smallest gap between a tissue and one that lies in it; None: none was found.
+    smallest_distance_mm
+        The smallest distance of two tissues that lie apart; None: none was found.
     """
 
     containers: Mapping[str, frozenset[str]] = field(default_factory=dict)
     overlaps_mm3: Mapping[tuple[str, str], float] = field(default_factory=dict)
     smallest_gap_mm: float | None = None
+    smallest_distance_mm: float | None = None
 
 
 def without_flat_faces(mesh: Mesh) -> Mesh:
