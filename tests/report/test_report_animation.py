@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import shutil
@@ -10,10 +11,13 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
+from browser import page_of
 from shapes import box, sphere
 
 from vhp_cli.report.animation import Shown, animation_html
+from vhp_cli.report.animation_gif import HEIGHT, LEVELS, WIDTH, animation_gif, delays
 from vhp_cli.report.curves import curves_svg
+from vhp_cli.report.gif import gif_bytes
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -119,3 +123,146 @@ console.log(JSON.stringify({ out, drawn, cameras, faces: MODEL.tissues.map(decod
     assert np.abs(seen).max() > 0.3
     # z is up on the screen.
     assert matrix[1, 2] > 0.0
+
+
+@pytest.mark.slow
+def test_the_page_plays_in_a_browser(tmp_path):
+    path = tmp_path / "animation.html"
+    path.write_text(page(), encoding="utf-8")
+    with page_of(path) as (tab, said):
+        tab.wait_for_function("document.getElementById('now').textContent.startsWith('t = ')")
+        tab.click("#play")
+
+        def picture(share: float) -> bytes:
+            tab.evaluate(
+                "share => { const bar = document.getElementById('time'); bar.value = share; "
+                "bar.dispatchEvent(new Event('input', { bubbles: true })); }",
+                share,
+            )
+            tab.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+            return tab.locator("#view").screenshot()
+
+        rest, full, again = picture(0.0), picture(0.5), picture(0.0)
+        assert tab.locator("#now").inner_text().startswith("t = 0.00")
+        assert tab.locator("#say").inner_text() == ""
+        # What is hidden leaves the picture.
+        tab.locator("#parts input").first.uncheck()
+        fewer = picture(0.0)
+        assert said == []
+    assert rest == again
+    assert rest != full and rest != fewer
+    image = pytest.importorskip("PIL.Image")
+    colours = image.open(io.BytesIO(rest)).convert("RGB").getcolors(1 << 20)
+    assert len(colours) > 20 and max(count for count, _ in colours) < 0.95 * sum(count for count, _ in colours)
+
+
+# ---------------------------------------------------------------- the small picture
+
+
+def read_gif(data: bytes) -> tuple[np.ndarray, list[int], list[np.ndarray]]:
+    """Return palette, times and pictures of a GIF, by the letter of its specification."""
+    assert data[:6] == b"GIF89a" and data[10] & 0x80
+    width, height = (int.from_bytes(data[i : i + 2], "little") for i in (6, 8))
+    n = 3 << ((data[10] & 7) + 1)
+    palette, place = np.frombuffer(data[13 : 13 + n], np.uint8).reshape(-1, 3), 13 + n
+    times, pictures = [], []
+    while data[place] != 0x3B:
+        if data[place] == 0x21:
+            if data[place + 1] == 0xF9:
+                times.append(int.from_bytes(data[place + 4 : place + 6], "little"))
+            place += 2
+            while data[place]:
+                place += 1 + data[place]
+            place += 1
+            continue
+        assert data[place] == 0x2C and data[place + 9] == 0
+        bits, place, stream = data[place + 10], place + 11, b""
+        while data[place]:
+            stream += data[place + 1 : place + 1 + data[place]]
+            place += 1 + data[place]
+        place += 1
+        pictures.append(np.frombuffer(unpacked(stream, bits), np.uint8).reshape(height, width))
+    return palette, times, pictures
+
+
+def unpacked(stream: bytes, bits: int) -> bytes:
+    clear, size, place, out = 1 << bits, bits + 1, 0, bytearray()
+    table, before = [], b""
+    held = int.from_bytes(stream, "little")
+    while True:
+        code = held >> place & ((1 << size) - 1)
+        place += size
+        if code == clear:
+            table = [bytes([i]) for i in range(clear)] + [b"", b""]
+            size, before = bits + 1, b""
+            continue
+        if code == clear + 1:
+            assert place <= 8 * len(stream) < place + 8
+            return bytes(out)
+        entry = table[code] if code < len(table) else before + before[:1]
+        if before and len(table) < 4096:
+            table.append(before + entry[:1])
+        if len(table) == 1 << size and size < 12:
+            size += 1
+        out += entry
+        before = entry
+
+
+@pytest.mark.parametrize("colours", [1, 2, 5, 16, 200, 256])
+@pytest.mark.parametrize("noise", [False, True])
+def test_a_gif_holds_what_it_was_given(colours, noise):
+    random = np.random.default_rng(colours)
+    palette = random.integers(0, 256, (colours, 3)).astype(np.uint8)
+    shape = (61, 43)
+    flat = np.arange(shape[0] * shape[1]).reshape(shape) // 97 % colours
+    first = (random.integers(0, colours, shape) if noise else flat).astype(np.uint8)
+    second = np.zeros(shape, np.uint8)
+    data = gif_bytes([(first, 7), (second, 300), (first, 2)], palette)
+    table, times, pictures = read_gif(data)
+    assert np.array_equal(table[:colours], palette) and times == [7, 300, 2]
+    assert [np.array_equal(a, b) for a, b in zip(pictures, (first, second, first), strict=True)] == [True] * 3
+
+
+def test_a_gif_long_enough_to_fill_its_table():
+    pixels = np.random.default_rng(0).integers(0, 256, (200, 150)).astype(np.uint8)
+    palette = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
+    assert np.array_equal(read_gif(gif_bytes([(pixels, 5)], palette))[2][0], pixels)
+
+
+def test_what_is_no_gif_is_refused():
+    black = np.zeros((1, 3), np.uint8)
+    for pictures in (
+        [],
+        [(np.ones((2, 2), np.uint8), 1)],
+        [(np.zeros((2, 2), np.uint8), 1), (np.zeros((2, 3), np.uint8), 1)],
+    ):
+        with pytest.raises(ValueError):
+            gif_bytes(pictures, black)
+
+
+def test_the_small_picture_shows_what_is_solid_as_long_as_the_breath_lasts():
+    skin = sphere(120.0)
+    tissues = [*shown(), Shown("skin", "skin", skin.faces, skin.vertices[None])]
+    data = animation_gif(tissues, period_s=5.0)
+    assert data == animation_gif(tissues, period_s=5.0)
+    # The skin, which would hide all else, is left out: but for it, there is nothing else to be seen.
+    assert data == animation_gif(shown(), period_s=5.0)
+    palette, times, pictures = read_gif(data)
+    assert len(pictures) == len(times) == 2 * LEVELS - 2
+    assert pictures[0].shape == (HEIGHT, WIDTH)
+    assert sum(times) == pytest.approx(500, abs=len(times))
+    assert all(np.array_equal(pictures[LEVELS - 1 - i], pictures[LEVELS - 1 + i]) for i in range(1, LEVELS - 1))
+    # The lung (pink) grows downwards; the bone stays.
+    colours = [palette[pictures[i]].astype(int) for i in (0, LEVELS - 1)]
+    pink = [colour[..., 0] > colour[..., 1] + 50 for colour in colours]
+    assert np.flatnonzero(pink[1].any(axis=1)).max() > np.flatnonzero(pink[0].any(axis=1)).max()
+    assert pink[1].sum() > pink[0].sum() > 1000
+
+
+def test_pictures_stay_as_long_as_the_breath_does():
+    for period in (1.0, 5.0, 20.0):
+        stays = np.array(delays(period))
+        assert stays.sum() == pytest.approx(100 * period, abs=len(stays)) and stays.min() >= 2
+        # A breath lingers at exhalation: x is below N/2 for 64 % of the time.
+        levels = np.array([*range(LEVELS), *range(LEVELS - 2, 0, -1)]) / (LEVELS - 1)
+        assert stays[levels < 0.5].sum() / stays.sum() == pytest.approx(0.64, abs=0.04)

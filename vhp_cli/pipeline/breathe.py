@@ -11,13 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from vhp_cli.config import Settings
-from vhp_cli.formats.atomic import atomic_write_text
+from vhp_cli.formats.atomic import atomic_write_bytes, atomic_write_text
 from vhp_cli.measures import Breathe, BreathFrame, Report
 from vhp_cli.model import Model
+from vhp_cli.pipeline.breathing_findings import BreathFacts, reasons_to_reject
 from vhp_cli.pipeline.breathing_frames import (
     CURVES,
     FRAMES,
     PAGE,
+    PICTURE,
     REJECTED,
     SEQUENCE,
     FrameMaker,
@@ -27,11 +29,12 @@ from vhp_cli.pipeline.breathing_frames import (
     prepare,
 )
 from vhp_cli.pipeline.breathing_model import BreathingModel, load_model
-from vhp_cli.pipeline.breathing_report import BreathFacts, breathing_report, frame_record, reasons_to_reject
+from vhp_cli.pipeline.breathing_report import breathing_report, frame_record
 from vhp_cli.pipeline.breathing_scripts import write_scripts
 from vhp_cli.pipeline.check import available_cores, check_model
 from vhp_cli.pipeline.output import refuse_overlap
 from vhp_cli.report.animation import Shown, animation_html
+from vhp_cli.report.animation_gif import animation_gif
 from vhp_cli.report.curves import curves_svg
 from vhp_cli.stages.breathe import scripts
 from vhp_cli.stages.breathe.fitting.fit import Fit, FitSettings, fit
@@ -39,11 +42,12 @@ from vhp_cli.stages.breathe.mass import Density, MassModel, densities, has_conta
 from vhp_cli.stages.breathe.matching import motions_of
 from vhp_cli.stages.breathe.nesting import parents
 from vhp_cli.stages.breathe.options import BreatheOptions
+from vhp_cli.stages.breathe.proof import prove
+from vhp_cli.stages.breathe.rest import at_rest
 from vhp_cli.stages.breathe.sequence import Motion
 from vhp_cli.stages.breathe.sequence import Sequence as Breath
 from vhp_cli.stages.breathe.sequence_file import format_sequence
 from vhp_cli.stages.breathe.time import Moment
-from vhp_cli.stages.breathe.verify import at_rest, prove
 
 Progress = Callable[[str, int, int], None]
 
@@ -198,6 +202,7 @@ def _write_pictures(
     page = animation_html(sequence.name, shown, section, steps=sequence.steps, period_s=sequence.period_s)
     atomic_write_text(out / CURVES, curves_svg(section))
     atomic_write_text(out / PAGE, page)
+    atomic_write_bytes(out / PICTURE, animation_gif(shown, period_s=sequence.period_s))
 
 
 class _Clock:

@@ -19,15 +19,17 @@ from vhp_cli import formats
 from vhp_cli.errors import UsageError, VhpError
 from vhp_cli.formats.atomic import refused
 from vhp_cli.kernels import surface
+from vhp_cli.kernels.spatial import Tree
 from vhp_cli.measures import BreathTissueFrame
 from vhp_cli.mesh import Mesh
 from vhp_cli.pipeline.breathing_model import BreathingModel
 from vhp_cli.pipeline.output import REPORT
+from vhp_cli.stages.breathe.frame_check import FrameCheck, check_frame
 from vhp_cli.stages.breathe.mass import MassModel
+from vhp_cli.stages.breathe.rest import Rest
 from vhp_cli.stages.breathe.sequence import Motion
 from vhp_cli.stages.breathe.time import Moment
-from vhp_cli.stages.breathe.tissue import volume
-from vhp_cli.stages.breathe.verify import FrameCheck, Rest, check_frame
+from vhp_cli.stages.breathe.tissue import Tissue, volume
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -35,7 +37,7 @@ Progress = Callable[[str, int, int], None]
 FRAMES, REJECTED, INDEX = "frames", "rejected", "index.csv"
 SEQUENCE = "sequence.toml"
 SCRIPTS = "scripts"
-CURVES, PAGE = "curves.svg", "animation.html"
+CURVES, PAGE, PICTURE = "curves.svg", "animation.html", "animation.gif"
 SCRIPT_FILES = ("aedt_pyaedt.py", "aedt_native.py", "cst_breathe.bas", "breathe_apply.m", "breathe_frame.m")
 # What a run writes beside its frames.
 RESULTS = (
@@ -43,6 +45,7 @@ RESULTS = (
     SEQUENCE,
     CURVES,
     PAGE,
+    PICTURE,
     *(f"{SCRIPTS}/{name}" for name in SCRIPT_FILES),
 )
 
@@ -76,6 +79,8 @@ class State:
         Bones of which an edge changed its length, and by how much in mm beyond what rounding explains.
     moved
         Tissues that are not where they are at rest.
+    tangled
+        Tissues that cross themselves more than at rest, and in how many pairs of faces.
     """
 
     x: float
@@ -87,6 +92,7 @@ class State:
     joined: tuple[str, ...]
     bent: Mapping[str, float]
     moved: tuple[str, ...]
+    tangled: Mapping[str, int]
 
 
 class FrameMaker:
@@ -115,6 +121,11 @@ class FrameMaker:
         self.gap_mm, self.executor = gap_mm, executor
         self._bones = {t.name: _edges(t.mesh) for t in model.tissues if t.name in motions and t.role.part in RIGID}
         self._still: dict[str, bytes] = {}
+        # What follows an affine map crosses itself no more than at rest.
+        bending = [t for t in model.tissues if t.name in motions and motions[t.name].fields]
+        self._crossings = {
+            t.name: count for t, count in zip(bending, executor.map(_self_crossings, bending), strict=True)
+        }
 
     def make(self, x: float) -> tuple[State, dict[str, bytes]]:
         """Return the model at `x` and the contents of its files, by their places."""
@@ -173,7 +184,18 @@ class FrameMaker:
             }
         bent = {name: self._bent(name, vertices[name]) for name in self._bones if name in vertices}
         bent = {name: excess for name, excess in bent.items() if excess > 0.0}
-        return State(x, check, volumes, self.mass.kg(volumes), tissues, lowest, joined, bent, tuple(vertices))
+        tangled = self._tangled(vertices)
+        return State(x, check, volumes, self.mass.kg(volumes), tissues, lowest, joined, bent, tuple(vertices), tangled)
+
+    def _tangled(self, vertices: Mapping[str, Array]) -> dict[str, int]:
+        """Return the tissues that cross themselves more than at rest."""
+        names = [name for name in self._crossings if name in vertices]
+
+        def count(name: str) -> int:
+            return Tree(vertices[name], self.rest.tissues[name].mesh.faces).self_hits(limit=1).n_pairs
+
+        found = zip(names, self.executor.map(count, names), strict=True)
+        return {name: pairs for name, pairs in found if pairs > self._crossings[name]}
 
     def _bent(self, name: str, vertices: Array) -> float:
         """Return by how much an edge of a bone changed beyond 1e-6 of its length and the rounding of its ends."""
@@ -183,6 +205,10 @@ class FrameMaker:
         after = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
         rounding = 2.0 * np.sqrt(3.0) * float(np.spacing(np.float32(np.abs(vertices).max())))
         return float((np.abs(after - before) - EDGE_CHANGE * before).max() - rounding)
+
+
+def _self_crossings(tissue: Tissue) -> int:
+    return tissue.tree.self_hits(limit=1).n_pairs
 
 
 def _edges(mesh: Mesh) -> NDArray[np.int32]:

@@ -111,8 +111,19 @@ def animation_html(title: str, tissues: Sequence[Shown], section: Breathe, *, st
     return page
 
 
+def style_of(part: str) -> tuple[tuple[float, float, float, float], bool]:
+    """Return red, green, blue and opacity of a part, and whether it is shown at first."""
+    return _STYLES.get(part, _OTHER)
+
+
+def is_shown(part: str) -> bool:
+    """Tell whether a part is shown at first, and hides what is behind it."""
+    colour, shown = style_of(part)
+    return shown and colour[3] == 1.0
+
+
 def _style(part: str) -> dict[str, object]:
-    colour, shown = _STYLES.get(part, _OTHER)
+    colour, shown = style_of(part)
     return {"colour": list(colour), "shown": shown}
 
 

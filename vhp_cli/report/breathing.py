@@ -93,8 +93,11 @@ def _closing(report: Report) -> str:
     text += f"; lungs {section['lungs']['volume_change_l']:+.4f} l, travel {section['lungs']['travel_mm']:.2f} mm"
     if proof["unproven"]:
         return f"{text}; {plural(len(proof['unproven']), 'interval')} without proof"
-    apart = proof["pairs"] - len(proof["excused"])
+    contacts = len(proof["joined"]) + len(proof["bounded"]) + len(proof["excused"])
+    apart = proof["pairs"] - contacts
     text += f"; {plural(apart, 'pair')} proven apart at every moment"
     if proof["least_gap_mm"] is not None:
         text += f" (gaps above {number(proof['least_gap_mm'])} mm)"
+    if contacts:
+        text += f"; of {contacts} in contact at rest {contacts - len(proof['excused'])} proven to get no tighter"
     return text

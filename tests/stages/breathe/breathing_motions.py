@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
+from vhp_cli.stages.breathe.blend import Blend, Holder
 from vhp_cli.stages.breathe.curves import Interpolant, Polynomial, Power
 from vhp_cli.stages.breathe.field import Field
 from vhp_cli.stages.breathe.operations import LocalFrame, Move, Operation, Parameter, Rotate, Scale
@@ -46,6 +47,26 @@ def operations(draw: st.DrawFn) -> Operation:
 affine_motions = st.lists(operations(), min_size=1, max_size=4).map(lambda found: Motion("affine", tuple(found)))
 
 
+def blend(turn: Rotate) -> Blend:
+    """Return the field of a cartilage between a rib, the sternum, another cartilage and something that stays."""
+    forward = Move(LocalFrame(), y=Parameter(Polynomial((0.0, -0.25))), z=Parameter(Polynomial((0.0, 0.125))))
+    return Blend(
+        "cartilage",
+        (
+            Holder("Rib 6 left", (turn,), ((60.0, -40.0, -230.0, 6.0), (64.0, -44.0, -232.0, 5.0))),
+            Holder("sternum", (forward,), ((0.0, -80.0, -200.0, 1 / 3),)),
+            Holder(
+                "5 + 6", (Scale(LocalFrame((0.0, 0.0, -9.0)), z=smooth_scale()), forward), ((20.0, -70.0, -170.0, 4.0),)
+            ),
+            Holder("clavicle", (), ((30.0, -60.0, -100.0, 8.0),)),
+        ),
+    )
+
+
+def smooth_scale() -> Parameter:
+    return Parameter(Polynomial((1.0, 1e-3, -2e-4)))
+
+
 def every_form() -> Sequence:
     """Return a sequence with every operation, curve and field, and names that have to be escaped."""
     tilted = LocalFrame.along((32.07, 104.5, -215.3), (-36.17, -1.9, -2.5))
@@ -82,6 +103,7 @@ def every_form() -> Sequence:
                 errata=("E10", "E11"),
                 note="line one\nline two",
             ),
+            Motion("Cartilage 6 left", fields=(blend(Rotate(tilted, "x", smooth)),), role="cartilage", side="left"),
             Motion("Skin", fields=(field,), role="skin"),
             Motion("Fat", fields=(field, profile), role="fat", name_has="subcutaneous"),
         ),

@@ -21,8 +21,9 @@ from vhp_cli.stages.breathe.fitting.ribs import lift_for, make_pairs
 from vhp_cli.stages.breathe.fitting.scene import Scene
 from vhp_cli.stages.breathe.fitting.soft import carried_candidates, descent
 from vhp_cli.stages.breathe.operations import Parameter
+from vhp_cli.stages.breathe.proof import prove
+from vhp_cli.stages.breathe.rest import at_rest
 from vhp_cli.stages.breathe.sequence import Targets
-from vhp_cli.stages.breathe.verify import at_rest, prove
 
 
 def motions():

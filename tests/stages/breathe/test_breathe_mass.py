@@ -132,3 +132,23 @@ def test_settings_come_before_the_table_and_the_unknown_is_said():
     with pytest.raises(UsageError, match="liver: density"):
         densities(tissues, {"liver": {"density": -1}})
     assert density_of("thing", "carried", "muscle").kg_per_m3 == 1090
+
+
+@pytest.mark.parametrize(
+    ("name", "part", "density"),
+    [
+        ("right_main_bronchus", "carried", 1102),
+        ("trachea", "carried", 1080),
+        ("cerebral_artery", "carried", 1050),
+        ("cerebrospinal_fluid", "carried", 1007),
+        ("left_adrenal_gland", "carried", 1028),
+        ("adrenal_vein", "carried", 1050),
+        ("thyroid_cartilage", "cartilage", 1100),
+        ("left_fifth_costal_cartilage", "cartilage", 1100),
+        ("recurrent_laryngeal_nerve", "carried", 1075),
+        ("intervertebral_disk_of_fifth_thoracic_vertebra", "disc", 1100),
+        ("diaphragm", "diaphragm", 1090),
+    ],
+)
+def test_densities_are_those_of_the_tissue_and_not_of_its_neighbour(name, part, density):
+    assert density_of(name, part).kg_per_m3 == density

@@ -25,6 +25,14 @@ def test_every_form_comes_back_the_same() -> None:
     assert format_sequence(parse_sequence(TEXT)) == TEXT
 
 
+def test_a_cartilage_goes_with_the_rib_that_it_names() -> None:
+    changed = parse_sequence(TEXT.replace("{ polynomial = [0.0, 0.45", "{ polynomial = [0.0, 0.9", 1))
+    rib, cartilage = (changed.motion(name) for name in ("Rib 6 left", "Cartilage 6 left"))
+    point = [[61.0, -41.0, -229.0]]
+    assert rib.apply(point, 7.0) == pytest.approx(cartilage.apply(point, 7.0), abs=1e-12)
+    assert abs(rib.apply(point, 7.0) - every_form().motion("Rib 6 left").apply(point, 7.0)).max() > 1.0
+
+
 @given(affine_motions)
 @settings(max_examples=40)
 def test_any_motion_comes_back_the_same(motion: Motion) -> None:
@@ -95,11 +103,11 @@ def test_a_short_file_is_enough() -> None:
             "origin = [32.07, 104.5]",
             "operation[1].origin: must have 3 numbers, not 2",
         ),
-        ('fields = ["chest"]', 'fields = ["belly"]', "motion[3].fields: there is no field 'belly'"),
-        ("x_taper = 60.0", "x_taper = 600.0", "field[1]: the tapers"),
+        ('fields = ["chest"]', 'fields = ["belly"]', "motion[4].fields: there is no field 'belly'"),
+        ("x_taper = 60.0", "x_taper = 600.0", "field[2]: the tapers"),
         ('name = "descent"', 'name = "chest"', "a second field has the name 'chest'"),
         ('name = "Fat"', 'name = "Skin"', "two motions have the name 'Skin'"),
-        ("displacements = [[0.0, 0.0, 0.0]", "displacements = [[0.0, 0.0]", "field[2].displacements"),
+        ("displacements = [[0.0, 0.0, 0.0]", "displacements = [[0.0, 0.0]", "field[3].displacements"),
     ],
 )
 def test_mistakes_are_named_with_their_place(old: str, new: str, said: str) -> None:

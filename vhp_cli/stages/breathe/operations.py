@@ -266,6 +266,43 @@ class Moments:
         )
 
 
+def map_of(operations: tuple[Operation, ...], t: float) -> Array:
+    """Return the affine map of operations, one after the other, at `t` in homogeneous coordinates, (4, 4)."""
+    result: Array = np.eye(4)
+    for operation in operations:
+        result = matrices(operation, np.array([t]))[0] @ result
+    return result
+
+
+def velocities(operations: tuple[Operation, ...], points: Array, start: Array, end: Array) -> tuple[Array, Array]:
+    """Return enclosures of the derivative by t of where operations carry `points`.
+
+    Parameters
+    ----------
+    operations
+        One after the other.
+    points : (P, 3) float64
+        At rest, in mm.
+    start, end : (K,) float64
+        Intervals of t.
+
+    Returns
+    -------
+    tuple of (K, P, 3) float64
+        Middle and radius, in mm per step.
+    """
+    base = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    moments = Moments.identity(base, len(start))
+    for operation in operations:
+        moments = moments.followed_by(operation, start, end)
+    place, place_radius = moments.place_rate.middle_and_radius()
+    linear, linear_radius = moments.linear_rate.middle_and_radius()
+    arms = points - base
+    velocity = arms @ np.swapaxes(linear, 1, 2) + place[:, None, :]
+    radius = np.abs(arms) @ np.swapaxes(linear_radius, 1, 2) + place_radius[:, None, :]
+    return velocity, radius
+
+
 def _combination(terms: list[tuple[Interval, Array]]) -> Interval:
     """Return the sum of (K,) intervals times constant arrays."""
     total: Interval | None = None

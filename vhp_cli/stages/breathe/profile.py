@@ -66,6 +66,20 @@ class Profile:
         moved: Array = float(self.amplitude.curve(t)) * self.full(points)
         return moved
 
+    def speeds(self, points: Array, start: Array, end: Array) -> Array:
+        """Return upper bounds of the speed of points (P, 3) in intervals of t from `start` to `end` (K,), (K, P)."""
+        rates = self.amplitude.curve.slope_bounds(start, end).largest()
+        bounds: Array = np.outer(rates, self.weight(points))
+        return bounds
+
+    def loss(self, t: float) -> float:
+        """Return the share of its length by which the distance of two points may shrink at `t`."""
+        return abs(float(self.amplitude.curve(t))) * self.steepness()
+
+    def rests(self) -> bool:
+        """Tell whether nothing is displaced at t = 0."""
+        return float(self.amplitude.curve(0.0)) == 0.0
+
     def steepness(self) -> float:
         """Return the largest slope of d, per mm."""
         rises = np.linalg.norm(np.diff(np.asarray(self.displacements), axis=0), axis=1)

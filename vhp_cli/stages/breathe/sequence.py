@@ -11,12 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vhp_cli.stages.breathe.blend import Blend
 from vhp_cli.stages.breathe.field import Field
-from vhp_cli.stages.breathe.operations import Moments, Operation, matrices
+from vhp_cli.stages.breathe.operations import Operation, map_of, matrices, velocities
 from vhp_cli.stages.breathe.profile import Profile
 
 Array = NDArray[np.float64]
-Displacement = Field | Profile
+Displacement = Field | Profile | Blend
 
 STEPS = 11
 VARIABLE = "breath"
@@ -85,8 +86,7 @@ class Motion:
 
     def matrix(self, t: float) -> Array:
         """Return the affine map at `t` in homogeneous coordinates, (4, 4)."""
-        first: Array = self.matrices([t])[0]
-        return first
+        return map_of(self.operations, t)
 
     def apply(self, points: ArrayLike, t: float) -> Array:
         """Return `points` (P, 3) where they are at `t`; at rest, the same numbers."""
@@ -125,38 +125,32 @@ class Motion:
         (T - 1,) float64
             In mm. From enclosures of the derivative by interval arithmetic, so the path is never longer.
         """
+        paths = self.paths(points, times, parts)
+        bounds: Array = paths.max(axis=1) if paths.shape[1] else np.zeros(len(paths))
+        return bounds
+
+    def paths(self, points: ArrayLike, times: ArrayLike, parts: int = _PARTS) -> Array:
+        """Return the bounds of `travel_bounds` for each of `points`, (T - 1, P) mm."""
         rest = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         grid = np.asarray(times, dtype=np.float64)
         cuts = np.linspace(grid[:-1], grid[1:], parts + 1)
         cuts[0], cuts[-1] = grid[:-1], grid[1:]
         start, end = cuts[:-1].T.reshape(-1), cuts[1:].T.reshape(-1)
         if not len(rest) or not (self.operations or self.fields):
-            return np.zeros(len(grid) - 1)
-        speeds = self._field_speeds(rest, start, end) if self.fields else self._affine_speeds(rest, start, end)
+            return np.zeros((len(grid) - 1, len(rest)))
+        speeds = self.speeds(rest, start, end)
         paths = (speeds * (end - start)[:, None]).reshape(len(grid) - 1, parts, len(rest)).sum(axis=1)
-        bounds: Array = paths.max(axis=1) * (1.0 + _SLACK) + _SLACK_MM
+        bounds: Array = paths * (1.0 + _SLACK) + _SLACK_MM
         return bounds
 
-    def _affine_speeds(self, rest: Array, start: Array, end: Array) -> Array:
-        """Return upper bounds of the speed per step of each point in each interval, (K, P)."""
-        base = 0.5 * (rest.min(axis=0) + rest.max(axis=0))
-        moments = Moments.identity(base, len(start))
-        for operation in self.operations:
-            moments = moments.followed_by(operation, start, end)
-        place, place_radius = moments.place_rate.middle_and_radius()
-        linear, linear_radius = moments.linear_rate.middle_and_radius()
-        arms = rest - base
-        velocity = arms @ np.swapaxes(linear, 1, 2) + place[:, None, :]
-        radius = np.abs(arms) @ np.swapaxes(linear_radius, 1, 2) + place_radius[:, None, :]
-        speeds: Array = np.linalg.norm(np.abs(velocity) + radius, axis=2)
-        return speeds
-
-    def _field_speeds(self, rest: Array, start: Array, end: Array) -> Array:
-        speeds = np.zeros((len(start), len(rest)))
-        for field in self.fields:
-            rate = field.amplitude.curve.slope_bounds(start, end).largest()
-            speeds += rate[:, None] * field.weight(rest)
-        return speeds
+    def speeds(self, rest: Array, start: Array, end: Array) -> Array:
+        """Return upper bounds of the speed of points (P, 3) in intervals of t from `start` to `end` (K,), (K, P)."""
+        if self.fields:
+            total: Array = np.sum([field.speeds(rest, start, end) for field in self.fields], axis=0)
+            return total
+        velocity, radius = velocities(self.operations, rest, start, end)
+        bounds: Array = np.linalg.norm(np.abs(velocity) + radius, axis=2)
+        return bounds
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,5 +243,5 @@ def _check_rest(motion: Motion) -> None:
                     f"at t = 0 instead of {operation.identity}"
                 )
     for field in motion.fields:
-        if float(field.amplitude.curve(0.0)) != 0.0:
+        if not field.rests():
             raise ValueError(f"the field {field.name!r} of the motion {motion.name!r} is not 0 at t = 0")

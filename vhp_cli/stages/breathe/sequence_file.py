@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import math
 import tomllib
 from collections.abc import Mapping
-from typing import Any
 
 from vhp_cli.errors import UsageError
+from vhp_cli.stages.breathe.blend import Blend, Holder
 from vhp_cli.stages.breathe.curves import Curve, Interpolant, Polynomial, Power
 from vhp_cli.stages.breathe.field import Field
 from vhp_cli.stages.breathe.operations import (
@@ -19,10 +18,10 @@ from vhp_cli.stages.breathe.operations import (
     Parameter,
     Rotate,
     Scale,
-    Triple,
 )
 from vhp_cli.stages.breathe.profile import Profile
 from vhp_cli.stages.breathe.sequence import Displacement, Motion, Sequence, Targets
+from vhp_cli.stages.breathe.toml_table import Table
 
 SCHEMA = "vhp-sequence/1"
 
@@ -57,8 +56,9 @@ def format_sequence(sequence: Sequence) -> str:
         f"lung_volume_change_l = {_number(sequence.targets.lung_volume_change_l)}",
         f"diaphragm_travel_mm = {_number(sequence.targets.diaphragm_travel_mm)}",
     ]
+    bodies = {motion.name: motion.operations for motion in sequence.motions if motion.operations}
     for field in _fields(sequence):
-        lines += ["", "[[field]]", *_field_lines(field)]
+        lines += ["", "[[field]]", *_field_lines(field, bodies)]
     for motion in sequence.motions:
         lines += ["", "[[motion]]", f"name = {_text(motion.name)}"]
         lines += _optional("role", motion.role) + _optional("side", motion.side)
@@ -90,19 +90,22 @@ def parse_sequence(text: str, source: str = "sequence") -> Sequence:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise UsageError(f"{source}: not a TOML file: {error}") from None
-    reader = _Table(data, source, "")
+    reader = Table(data, source, "")
     schema = reader.take("schema", str)
     if schema != SCHEMA:
         raise UsageError(f"{source}: schema is {schema!r}", hint=f"this version reads {SCHEMA!r}")
     _check_frame(reader.table("frame"))
     sweep, targets = reader.table("sweep"), reader.table("targets", {})
+    # Fields come first in the file, and name motions whose operations they take part in.
+    tables = [(table, table.take("name", str), _operations(table)) for table in reader.tables("motion")]
+    bodies = {name: operations for _, name, operations in tables}
     fields: dict[str, Displacement] = {}
     for table in reader.tables("field"):
-        field = _field(table)
+        field = _field(table, bodies)
         if field.name in fields:
             raise table.error(f"a second field has the name {field.name!r}")
         fields[field.name] = field
-    motions = tuple(_motion(table, fields) for table in reader.tables("motion"))
+    motions = tuple(_motion(table, name, operations, fields) for table, name, operations in tables)
     defaults = Targets()
     with_targets = targets.build(
         Targets,
@@ -126,99 +129,7 @@ def parse_sequence(text: str, source: str = "sequence") -> Sequence:
     return sequence
 
 
-class _Table:
-    """One table of the file: entries are taken out by type, and none may be left over."""
-
-    def __init__(self, data: Mapping[str, Any], source: str, path: str) -> None:
-        self._data = dict(data)
-        self._source = source
-        self._path = path
-
-    def error(self, message: str, key: str = "", hint: str = "") -> UsageError:
-        place = ".".join(part for part in (self._path, key) if part)
-        return UsageError(f"{self._source}: {place + ': ' if place else ''}{message}", hint=hint)
-
-    def take(self, key: str, kind: type, default: object = None) -> Any:
-        if key not in self._data:
-            if default is None:
-                raise self.error("missing", key)
-            return default
-        value = self._data.pop(key)
-        # In Python, though not in TOML, true is a whole number.
-        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-            words = {str: "a text", int: "a whole number", bool: "true or false", dict: "a table", list: "a list"}
-            raise self.error(f"must be {words[kind]}, not {value!r}", key)
-        return value
-
-    def has(self, key: str) -> bool:
-        return key in self._data
-
-    def number(self, key: str, default: float | None = None) -> float:
-        if key not in self._data and default is not None:
-            return default
-        if key not in self._data:
-            raise self.error("missing", key)
-        return self._as_number(self._data.pop(key), key)
-
-    def numbers(
-        self, key: str, count: int | None = None, default: tuple[float, ...] | None = None
-    ) -> tuple[float, ...]:
-        if key not in self._data and default is not None:
-            return default
-        values = self.take(key, list)
-        if count is not None and len(values) != count:
-            raise self.error(f"must have {count} numbers, not {len(values)}", key)
-        return tuple(self._as_number(value, key) for value in values)
-
-    def triple(self, key: str, default: Triple) -> Triple:
-        x, y, z = self.numbers(key, 3, default)
-        return (x, y, z)
-
-    def triples(self, key: str) -> tuple[Triple, ...]:
-        rows = self.take(key, list)
-        if not all(isinstance(row, list) and len(row) == 3 for row in rows):
-            raise self.error("must be a list of lists of 3 numbers", key)
-        return tuple((self._as_number(x, key), self._as_number(y, key), self._as_number(z, key)) for x, y, z in rows)
-
-    def pair(self, key: str) -> tuple[float, float]:
-        low, high = self.numbers(key, 2)
-        return (low, high)
-
-    def strings(self, key: str) -> tuple[str, ...]:
-        values = self.take(key, list, [])
-        if not all(isinstance(value, str) for value in values):
-            raise self.error("must be a list of texts", key)
-        return tuple(values)
-
-    def table(self, key: str, default: Mapping[str, Any] | None = None) -> _Table:
-        return _Table(self.take(key, dict, default), self._source, f"{self._path}.{key}".strip("."))
-
-    def tables(self, key: str) -> list[_Table]:
-        values = self.take(key, list, [])
-        if not all(isinstance(value, dict) for value in values):
-            raise self.error("must be a list of tables", key)
-        path = f"{self._path}.{key}".strip(".")
-        return [_Table(value, self._source, f"{path}[{number}]") for number, value in enumerate(values, start=1)]
-
-    def build(self, kind: Any, *arguments: Any, **values: Any) -> Any:
-        """Make a value of the entries, once none is left over."""
-        self.done()
-        try:
-            return kind(*arguments, **values)
-        except ValueError as error:
-            raise self.error(str(error)) from None
-
-    def done(self) -> None:
-        if self._data:
-            raise self.error("no such entry", next(iter(self._data)))
-
-    def _as_number(self, value: object, key: str) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise self.error(f"must be a finite number, not {value!r}", key)
-        return float(value)
-
-
-def _check_frame(table: _Table) -> None:
+def _check_frame(table: Table) -> None:
     for key, wanted in (("length_unit", "mm"), ("angle_unit", "deg"), ("axes", "LPS")):
         value = table.take(key, str)
         if value != wanted:
@@ -226,15 +137,19 @@ def _check_frame(table: _Table) -> None:
     table.done()
 
 
-def _motion(table: _Table, fields: Mapping[str, Displacement]) -> Motion:
+def _operations(table: Table) -> tuple[Operation, ...]:
+    return tuple(_operation(entry) for entry in table.tables("operation"))
+
+
+def _motion(table: Table, name: str, operations: tuple[Operation, ...], fields: Mapping[str, Displacement]) -> Motion:
     names = table.strings("fields")
-    for name in names:
-        if name not in fields:
-            raise table.error(f"there is no field {name!r}", "fields")
+    for field in names:
+        if field not in fields:
+            raise table.error(f"there is no field {field!r}", "fields")
     values = {
-        "name": table.take("name", str),
-        "operations": tuple(_operation(entry) for entry in table.tables("operation")),
-        "fields": tuple(fields[name] for name in names),
+        "name": name,
+        "operations": operations,
+        "fields": tuple(fields[field] for field in names),
         "tissues": table.strings("tissues"),
         "role": table.take("role", str, ""),
         "side": table.take("side", str, ""),
@@ -247,7 +162,7 @@ def _motion(table: _Table, fields: Mapping[str, Displacement]) -> Motion:
     return motion
 
 
-def _operation(table: _Table) -> Operation:
+def _operation(table: Table) -> Operation:
     kind = table.take("kind", str)
     if kind not in _KINDS:
         raise table.error(f"must be scale, rotate or move, not {kind!r}", "kind")
@@ -272,7 +187,7 @@ def _operation(table: _Table) -> Operation:
     return operation
 
 
-def _parameter(table: _Table, unit: str) -> Parameter:
+def _parameter(table: Table, unit: str) -> Parameter:
     said = table.take("unit", str)
     if said != unit:
         raise table.error(f"must be {unit!r}, not {said!r}", "unit")
@@ -295,8 +210,11 @@ def _parameter(table: _Table, unit: str) -> Parameter:
     return parameter
 
 
-def _field(table: _Table) -> Displacement:
+def _field(table: Table, bodies: Mapping[str, tuple[Operation, ...]]) -> Displacement:
     name = table.take("name", str)
+    if table.has("holder"):
+        blend: Blend = table.build(Blend, name, tuple(_holder(entry, bodies) for entry in table.tables("holder")))
+        return blend
     if table.has("heights"):
         amplitude = _parameter(table.table("amplitude"), "1")
         profile: Profile = table.build(
@@ -317,6 +235,17 @@ def _field(table: _Table) -> Displacement:
     return field
 
 
+def _holder(table: Table, bodies: Mapping[str, tuple[Operation, ...]]) -> Holder:
+    name = table.take("name", str)
+    operations = _operations(table)
+    if not operations and not table.take("stays", bool, False):
+        if name not in bodies:
+            raise table.error(f"there is no motion {name!r}", "name", "give it operations, or say stays = true")
+        operations = bodies[name]
+    holder: Holder = table.build(Holder, name, operations, table.quadruples("balls"))
+    return holder
+
+
 def _fields(sequence: Sequence) -> list[Displacement]:
     """Return the fields of all motions, each once."""
     found: dict[str, Displacement] = {}
@@ -327,7 +256,16 @@ def _fields(sequence: Sequence) -> list[Displacement]:
     return list(found.values())
 
 
-def _field_lines(field: Displacement) -> list[str]:
+def _field_lines(field: Displacement, bodies: Mapping[str, tuple[Operation, ...]]) -> list[str]:
+    if isinstance(field, Blend):
+        lines = [f"name = {_text(field.name)}"]
+        for holder in field.holders:
+            lines += ["  [[field.holder]]", f"  name = {_text(holder.name)}"]
+            lines += [] if holder.operations else ["  stays = true"]
+            lines.append(f"  balls = [{', '.join(map(_numbers, holder.balls))}]")
+            for operation in holder.operations if bodies.get(holder.name) != holder.operations else ():
+                lines += ["    [[field.holder.operation]]", *(f"    {line}" for line in _operation_lines(operation))]
+        return lines
     if isinstance(field, Profile):
         return [
             f"name = {_text(field.name)}",

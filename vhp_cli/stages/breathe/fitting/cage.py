@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from vhp_cli.kernels.measuring import closest
 from vhp_cli.stages.breathe.bridges import bridge
+from vhp_cli.stages.breathe.fitting.cartilages import Joined, place_joined
 from vhp_cli.stages.breathe.fitting.curves import even_move
 from vhp_cli.stages.breathe.fitting.scene import Scene, near
 from vhp_cli.stages.breathe.sequence import Motion
@@ -18,7 +19,10 @@ Array = NDArray[np.float64]
 
 _REACH_MM = 40.0
 _ITERATIONS = 12
-_FORWARD_STEP_MM, _MOST_FORWARD_MM = 0.25, 12.0
+# How much further forward the sternum may go than changes the cartilages least, in mm, and what share of that it may
+# take part in, with how much further forward then.
+_FURTHER_MM = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
+_SHARES, _FEW_FURTHER_MM = (0.75, 0.5, 0.25, 0.0), (0.0, 1.0, 2.0, 4.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +50,20 @@ class Strut:
     anchor: Array
 
 
+def find_escorts(scene: Scene, sternum: Sequence[str], bones: Sequence[str]) -> list[str]:
+    """Return the bones that are in contact with the sternum, or nearer than the gap to keep, and with no other bone."""
+
+    def joined(first: str, second: str) -> bool:
+        return scene.room(first, second, scene.gap_mm) < scene.gap_mm
+
+    return [
+        bone
+        for bone in bones
+        if any(joined(bone, part) for part in sternum)
+        and not any(joined(bone, other) for other in bones if other != bone)
+    ]
+
+
 def make_struts(
     scene: Scene, cartilages: Mapping[tuple[str, int], str], ribs: Mapping[tuple[str, int], str], sternum: Sequence[str]
 ) -> list[Strut]:
@@ -71,63 +89,85 @@ def make_struts(
     return struts
 
 
-def fit_sternum(scene: Scene, sternum: Sequence[str], struts: Sequence[Strut], obstacles: Sequence[str]) -> Array:
+@dataclass(frozen=True, slots=True)
+class Cage:
+    """What goes with the ribs.
+
+    Parameters
+    ----------
+    sternum
+        Its parts, which move as one.
+    escorts
+        Bones that are joined to it and to nothing that stays, such as the clavicles: they may go along.
+    struts
+        The cartilages that span from a rib to the sternum or to another cartilage.
+    joined
+        Those of all cartilages that are joined to something, by name.
+    """
+
+    sternum: tuple[str, ...]
+    escorts: tuple[str, ...]
+    struts: tuple[Strut, ...]
+    joined: Mapping[str, Joined]
+
+    @property
+    def tissues(self) -> tuple[str, ...]:
+        """All of them."""
+        return (*self.sternum, *self.escorts, *dict.fromkeys([*(strut.name for strut in self.struts), *self.joined]))
+
+
+def fit_cage(scene: Scene, cage: Cage, obstacles: Sequence[str]) -> None:
     """Move the sternum so that the cartilages change their lengths least, and give them their motions.
 
-    Where sternum or cartilages would hit something, it moves further forward, or less.
+    Where sternum or cartilages would hit something, it moves further forward, or less; the bones that it holds go
+    along, or stay if that is better.
 
     Parameters
     ----------
     scene
         Holds the motion of the ribs already.
-    sternum
-        Its parts, which move as one.
-    struts
-        The cartilages; those that the sternum does not hold don't count.
+    cage
+        What is to be placed.
     obstacles
         What must be cleared.
-
-    Returns
-    -------
-    (3,) float64
-        The translation at t = N, in mm; x is 0.
     """
-    best = _least_stretch(scene, [strut for strut in struts if strut.holder in sternum])
-    forward = np.arange(0.0, _MOST_FORWARD_MM, _FORWARD_STEP_MM)
-    choices = [best - [0.0, extra, 0.0] for extra in forward]
-    choices += [best * share - [0.0, extra, 0.0] for share in (0.75, 0.5, 0.25, 0.0) for extra in forward[::4]]
-    if any(scene.touching(name) for name in sternum):
-        # Whatever moves it tears at what it is joined to: there is little to choose.
-        choices = [best, 0.5 * best, 0.0 * best]
-    moving = [*sternum, *(strut.name for strut in struts)]
-    around = {name: near(scene, name, [*obstacles, *moving], _REACH_MM) for name in moving}
+    best = _least_stretch(scene, [strut for strut in cage.struts if strut.holder in cage.sternum])
+    choices = [best - [0.0, extra, 0.0] for extra in _FURTHER_MM]
+    choices += [best * share - [0.0, extra, 0.0] for share in _SHARES for extra in _FEW_FURTHER_MM]
+    around = {name: near(scene, name, [*obstacles, *cage.tissues], _REACH_MM) for name in cage.tissues}
 
-    def place(shift: Array) -> float:
+    def place(shift: Array, *, escorted: bool) -> None:
         move = (even_move(shift, scene.steps),) if shift.any() else ()
-        for name in sternum:
+        for name in cage.sternum:
             scene.set(name, Motion(name, move, tissues=(name,), role="sternum"))
-        fit_cartilages(scene, struts)
-        return round(
-            sum(
-                scene.badness(name, scene.motions.get(name), around[name], scene.times, contacts=True)
-                for name in around
-            ),
-            6,
-        )
+        for name in cage.escorts:
+            scene.set(name, Motion(name, move if escorted else (), tissues=(name,), role="bone"))
+        fit_cartilages(scene, cage)
 
-    if not sternum:
-        fit_cartilages(scene, struts)
-        return np.zeros(3)
-    least, chosen = np.inf, best
-    for shift in choices:
-        missing = place(shift)
-        if missing < least:
-            least, chosen = missing, shift
-        if missing == 0.0:
+    def missing(most: float) -> float:
+        """Return how much room is missing, or somewhat more than `most` if that much is."""
+        total = 0.0
+        for name, others in around.items():
+            total += scene.badness(name, scene.motions.get(name), others, scene.times, contacts=True)
+            if total > most:
+                break
+        return round(total, 6)
+
+    if not cage.sternum:
+        fit_cartilages(scene, cage)
+        return
+    least, chosen, along = np.inf, best, True
+    for escorted in (True, False) if cage.escorts else (True,):
+        for shift in choices:
+            place(shift, escorted=escorted)
+            lack = missing(least)
+            if lack < least:
+                least, chosen, along = lack, shift, escorted
+            if lack == 0.0:
+                break
+        if least == 0.0:
             break
-    place(chosen)
-    result: Array = chosen
-    return result
+    place(chosen, escorted=along)
 
 
 def _least_stretch(scene: Scene, struts: Sequence[Strut]) -> Array:
@@ -149,10 +189,13 @@ def _least_stretch(scene: Scene, struts: Sequence[Strut]) -> Array:
     return shift
 
 
-def fit_cartilages(scene: Scene, struts: Sequence[Strut]) -> None:
-    """Stretch and turn each cartilage with its two ends."""
+def fit_cartilages(scene: Scene, cage: Cage) -> None:
+    """Stretch and turn each cartilage with its two ends; what is joined to anything bends between its joints."""
     times = np.linspace(0.0, scene.steps, 2 * scene.steps + 1)[1:]
-    for strut in struts:
+    place_joined(scene, cage.joined)
+    for strut in cage.struts:
+        if strut.name in cage.joined:
+            continue
         tips = _path(scene, strut.rib, strut.tip, times)
         anchors = _path(scene, strut.holder, strut.anchor, times)
         if np.array_equal(tips, np.tile(strut.tip, (len(times), 1))) and np.array_equal(
@@ -168,10 +211,12 @@ def fit_cartilages(scene: Scene, struts: Sequence[Strut]) -> None:
 
 
 def _path(scene: Scene, name: str, point: Array, times: Array) -> Array:
-    """Return where a point of a tissue that moves as a rigid or an affine body is at some times, (T, 3)."""
+    """Return where a point of a tissue is at some times, (T, 3)."""
     motion = scene.motions.get(name)
     if motion is None:
         return np.tile(point, (len(times), 1))
+    if motion.fields:
+        return np.concatenate([motion.apply(point[None], float(t)) for t in times])
     matrices = motion.matrices(times)
     path: Array = matrices[:, :3, :3] @ point + matrices[:, :3, 3]
     return path

@@ -11,6 +11,7 @@ import numpy as np
 from vhp_cli.errors import UsageError
 from vhp_cli.stages.breathe.fitting import cage, ribs, shells, soft
 from vhp_cli.stages.breathe.fitting.candidates import choose
+from vhp_cli.stages.breathe.fitting.cartilages import find_joined
 from vhp_cli.stages.breathe.fitting.ends import rib_ends
 from vhp_cli.stages.breathe.fitting.lungs import ACROSS, LungMotion, fit_lungs
 from vhp_cli.stages.breathe.fitting.scene import Scene, Shortfall, by_part, near
@@ -28,7 +29,8 @@ Progress = Callable[[str, int, int], None]
 ORGANS = ("heart", "liver", "stomach", "spleen", "kidney")
 MUSCLES = ("pectoral", "abdominal", "erector")
 # These stay as they are.
-FIXED = (BONE, "vertebra", "disc")
+SPINE = ("vertebra", "disc")
+FIXED = (BONE, *SPINE)
 
 _QUIET = Targets()
 
@@ -182,17 +184,24 @@ class _Fitting:
         lungs = self._clear_of_bones(lungs)
         if not pairs:
             self.notes.append("the model has no ribs: the lungs move alone")
-        struts = cage.make_struts(scene, cartilages, ribs_by_place, self.free("sternum"))
-        return self._best(lungs, pairs, struts)
+        return self._best(lungs, pairs, self._cage(cartilages, ribs_by_place))
 
-    def _best(self, lungs: LungMotion, pairs: Sequence[ribs.Pair], struts: Sequence[cage.Strut]) -> Fit:
+    def _cage(self, cartilages: Mapping[tuple[str, int], str], by_place: Mapping[tuple[str, int], str]) -> cage.Cage:
+        scene, sternum = self.scene, self.free("sternum")
+        struts = cage.make_struts(scene, cartilages, by_place, sternum)
+        ends = {strut.name: (strut.rib, strut.holder) for strut in struts}
+        joined = find_joined(scene, self.free("cartilage"), list(by_place.values()), sternum, ends)
+        escorts = cage.find_escorts(scene, sternum, [name for name in self.fixed if name not in self.free(*SPINE)])
+        return cage.Cage(tuple(sternum), tuple(escorts), tuple(struts), joined)
+
+    def _best(self, lungs: LungMotion, pairs: Sequence[ribs.Pair], body: cage.Cage) -> Fit:
         """Let the ribs go forward with the lungs as far as that has room everywhere, else as little as they can."""
         shares = _FOLLOWING if self.settings.ribs == "follow" and pairs else (0.0,)
         best: Fit | None = None
         chosen = 0.0
         for number, share in enumerate(shares):
             self._step(f"attempt {number + 1}", number, len(shares))
-            found = self._attempt(lungs, pairs, struts, share, give_up=best is not None and share > 0.0)
+            found = self._attempt(lungs, pairs, body, share, give_up=best is not None and share > 0.0)
             if found is not None and (best is None or _missing(found) < _missing(best)):
                 best = found
                 chosen = share
@@ -208,7 +217,7 @@ class _Fitting:
         self,
         lungs: LungMotion,
         pairs: Sequence[ribs.Pair],
-        struts: Sequence[cage.Strut],
+        body: cage.Cage,
         share: float,
         *,
         give_up: bool,
@@ -218,20 +227,19 @@ class _Fitting:
         for name in list(scene.motions):
             if name not in self.lungs:
                 scene.set(name, None)
-        angles = ribs.fit_ribs(scene, pairs, self.lungs, self.fixed, share * lungs.forward_mm)
+        staying = [name for name in self.fixed if name not in body.tissues]
+        angles = ribs.fit_ribs(scene, pairs, self.lungs, staying, self.free(*SPINE), share * lungs.forward_mm)
         if angles is None:
             return None
-        sternum = self.free("sternum")
         own = [name for pair in pairs for name in pair.ribs.values()]
-        cage.fit_sternum(scene, sternum, struts, [*self.lungs, *self.fixed, *own])
-        driven = list(dict.fromkeys([*self.lungs, *own, *sternum, *(strut.name for strut in struts)]))
-        self.placed = [*driven, *(name for name in self.fixed if name not in driven)]
+        cage.fit_cage(scene, body, [*self.lungs, *staying, *own])
+        self.placed = list(dict.fromkeys([*self.lungs, *own, *body.tissues, *staying]))
         if give_up and self._shortfalls(self.placed):
             return None
         self._soft(self._profile(lungs))
         for name in self._outer_first(self.riders):
             scene.set(name, soft.riding(scene, name, self.riders[name]))
-        self._shells(sternum)
+        self._shells(body.sternum)
         return self._result(lungs, angles)
 
     def _clear_of_bones(self, lungs: LungMotion) -> LungMotion:

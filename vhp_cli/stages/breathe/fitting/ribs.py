@@ -1,4 +1,7 @@
-"""The ribs: each pair turns about its own heads by two angles, so little that the lungs keep their room."""
+"""The ribs: each pair turns about its own heads by two angles, so little that the lungs keep their room.
+
+A rib that is joined to the spine glides a little as it turns, so that the joint gets no tighter.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vhp_cli.kernels.spatial import Tree, gap
-from vhp_cli.stages.breathe.fitting.curves import at, even
+from vhp_cli.stages.breathe.fitting.curves import at, even, even_move
 from vhp_cli.stages.breathe.fitting.ends import RibEnds
+from vhp_cli.stages.breathe.fitting.joints import glide, joint_of
 from vhp_cli.stages.breathe.fitting.scene import Scene, near
 from vhp_cli.stages.breathe.operations import LocalFrame, Operation, Rotate
 from vhp_cli.stages.breathe.sequence import Motion
@@ -67,11 +71,13 @@ class Pair:
             turns.append(Rotate(at(head), "z", even(spread, steps)))
         return tuple(turns)
 
-    def motion(self, side: str, angles: Angles, steps: int) -> Motion:
-        """Return the motion of one rib."""
+    def motion(self, side: str, angles: Angles, steps: int, shift: Array | None = None) -> Motion:
+        """Return the motion of one rib, which glides by `shift` (3,) mm up to t = N."""
         name = self.ribs[side]
-        turns = self.operations(side, angles, steps)
-        return Motion(name, turns, tissues=(name,), role="rib", side=side, number=self.number)
+        operations = self.operations(side, angles, steps)
+        if shift is not None and shift.any():
+            operations = (*operations, even_move(shift, steps))
+        return Motion(name, operations, tissues=(name,), role="rib", side=side, number=self.number)
 
 
 def make_pairs(
@@ -113,7 +119,12 @@ def lift_for(pair: Pair, forward_mm: float) -> float:
 
 
 def fit_ribs(
-    scene: Scene, pairs: Sequence[Pair], lungs: Sequence[str], fixed: Sequence[str], forward_mm: float = 0.0
+    scene: Scene,
+    pairs: Sequence[Pair],
+    lungs: Sequence[str],
+    fixed: Sequence[str],
+    spine: Sequence[str],
+    forward_mm: float = 0.0,
 ) -> dict[int, Angles] | None:
     """Give every rib its motion and return the angles of each pair at t = N.
 
@@ -127,6 +138,8 @@ def fit_ribs(
         What needs room.
     fixed
         Bones that stay.
+    spine
+        Those of them that ribs may be joined to.
     forward_mm
         How far the tips move forward at least, as by the pull of muscles; 0: no further than the lungs push them.
 
@@ -139,29 +152,20 @@ def fit_ribs(
     for pair in pairs:
         above = [name for p in pairs if p.number < pair.number for name in p.ribs.values()]
         least_lift = lift_for(pair, forward_mm) if forward_mm else 0.0
-        search = _Search(scene, pair, lungs, [*fixed, *above], least_lift)
+        search = _Search(scene, pair, lungs, [*fixed, *above], spine, least_lift)
         angles = search.smallest(following=forward_mm > 0.0)
         if angles is None:
             return None
         found[pair.number] = angles
-        _place(scene, pair, found[pair.number])
+        search.place(angles)
     for number, angles in _evened(found).items():
         pair = next(p for p in pairs if p.number == number)
         others = [*fixed, *(name for p in pairs if p is not pair for name in p.ribs.values())]
-        room = 0.0 if any(scene.touching(name) for name in pair.ribs.values()) else ROOM_MM
-        if (
-            room
-            and angles != found[number]
-            and _Search(scene, pair, lungs, others).fits(angles, ROOM_MM, contacts=True)
-        ):
+        search = _Search(scene, pair, lungs, others, spine)
+        if angles != found[number] and search.fits(angles, ROOM_MM):
             found[number] = angles
-            _place(scene, pair, angles)
+            search.place(angles)
     return found
-
-
-def _place(scene: Scene, pair: Pair, angles: Angles) -> None:
-    for side, name in pair.ribs.items():
-        scene.set(name, pair.motion(side, angles, scene.steps))
 
 
 def _evened(found: Mapping[int, Angles]) -> dict[int, Angles]:
@@ -179,57 +183,80 @@ class _Search:
     """The search for the angles of one pair."""
 
     def __init__(
-        self, scene: Scene, pair: Pair, lungs: Sequence[str], others: Sequence[str], least_lift: float = 0.0
+        self,
+        scene: Scene,
+        pair: Pair,
+        lungs: Sequence[str],
+        others: Sequence[str],
+        spine: Sequence[str],
+        least_lift: float = 0.0,
     ) -> None:
         self.scene, self.pair, self.least_lift = scene, pair, least_lift
         self.lungs = lungs
+        self.joints = {name: joint_of(scene, name, spine) for name in pair.ribs.values()}
         around = {name: near(scene, name, [*lungs, *others], _REACH_MM) for name in pair.ribs.values()}
-        self.touched = {n: [o for o in found if frozenset((n, o)) in scene.in_contact] for n, found in around.items()}
-        self.obstacles = {n: [o for o in found if o not in self.touched[n]] for n, found in around.items()}
+        self.obstacles = {n: [o for o in found if o not in self.joints[n]] for n, found in around.items()}
+        self._motions: dict[tuple[str, Angles], Motion | None] = {}
 
     def smallest(self, *, following: bool) -> Angles | None:
         """Return the smallest angles with room, else with the gap that must be kept, else the least bad ones.
 
-        A pair that follows its lungs has little choice: None if the first few angles leave no room.
+        A pair whose tips follow the lungs has little choice: None if the first few angles leave no room.
         """
         candidates = self._candidates()
-        if following:
+        if following and self.pair.number not in FREE_RIBS:
             candidates = candidates[:_FEW]
-        # What joins a rib at rest would be torn or squeezed by making more room than needed; it may get worse only
-        # where nothing else makes room.
-        joined = any(self.scene.touching(name) for name in (*self.pair.ribs.values(), *self.pair.attached.values()))
-        tiers = [(0.0, True)] if joined else [(ROOM_MM, True), (0.0, True)]
-        for room, contacts in tiers if following else [*tiers, (0.0, False)]:
+        for room in (ROOM_MM, 0.0):
             for angles in candidates:
-                if self.fits(angles, room, contacts=contacts):
-                    return self._reduced(angles, room, contacts)
+                if self.fits(angles, room):
+                    return self._reduced(angles, room)
         if following:
             return None
         return min(candidates, key=lambda angles: (round(self._badness(angles), 3), _size(angles)))
 
-    def fits(self, angles: Angles, room_mm: float, *, contacts: bool) -> bool:
-        """Tell if nothing is too near at these angles, and the lungs have this much room (or as much as at rest).
-
-        With `contacts`, what is in contact at rest must not be more so.
-        """
+    def fits(self, angles: Angles, room_mm: float) -> bool:
+        """Tell if nothing is too near at these angles, and the lungs have this much room (or as much as at rest)."""
+        turning = {side: self.pair.motion(side, angles, self.scene.steps) for side in self.pair.ribs}
+        if not all(self._has_place(side, turning[side], room_mm) for side in turning):
+            return False
+        gliding = {side: self.motion(side, angles) for side in turning}
         return all(
-            self._fits(name, self.pair.motion(side, angles, self.scene.steps), side, t, room_mm, contacts)
-            for t in self.scene.times
-            for side, name in self.pair.ribs.items()
+            motion is not None and (motion == turning[side] or self._has_place(side, motion, room_mm))
+            for side, motion in gliding.items()
         )
 
-    def _fits(self, name: str, motion: Motion, side: str, t: float, room_mm: float, contacts: bool) -> bool:
-        scene = self.scene
-        if room_mm and not self._has_room(name, scene.moved(name, motion, t), t, room_mm):
-            return False
-        if scene.shortfalls(name, motion, self.obstacles[name], [t]):
-            return False
-        if contacts and scene.shortfalls(name, motion, self.touched[name], [t], contacts=True):
-            return False
-        cartilage = self.pair.attached.get(side)
-        if not room_mm or cartilage is None:
-            return True
-        return self._has_room(cartilage, scene.moved(cartilage, motion, t), t, room_mm)
+    def motion(self, side: str, angles: Angles) -> Motion | None:
+        """Return the motion of one rib, with the glide that its joint needs; None if that is too much."""
+        key = (side, angles)
+        if key not in self._motions:
+            name = self.pair.ribs[side]
+            motion = self.pair.motion(side, angles, self.scene.steps)
+            shift = glide(self.scene, name, self.joints[name], motion)
+            self._motions[key] = None if shift is None else self.pair.motion(side, angles, self.scene.steps, shift)
+        return self._motions[key]
+
+    def place(self, angles: Angles) -> None:
+        """Give the ribs their motions; where no glide is enough, they turn alone."""
+        for side, name in self.pair.ribs.items():
+            motion = self.motion(side, angles)
+            self.scene.set(name, self.pair.motion(side, angles, self.scene.steps) if motion is None else motion)
+
+    def _has_place(self, side: str, motion: Motion, room_mm: float) -> bool:
+        """Tell if a rib hits nothing but its joint, and the lungs have room."""
+        scene, name, cartilage = self.scene, self.pair.ribs[side], self.pair.attached.get(side)
+        for t in scene.times:
+            if room_mm and not self._has_room(name, scene.moved(name, motion, t), t, room_mm):
+                return False
+            if scene.shortfalls(name, motion, self.obstacles[name], [t], contacts=True):
+                return False
+            # While the ribs are placed, cartilages go with them.
+            if (
+                room_mm
+                and cartilage is not None
+                and not self._has_room(cartilage, scene.moved(cartilage, motion, t), t, room_mm)
+            ):
+                return False
+        return True
 
     def _has_room(self, name: str, tree: Tree, t: float, room_mm: float) -> bool:
         for lung in self.lungs:
@@ -242,10 +269,12 @@ class _Search:
 
     def _badness(self, angles: Angles) -> float:
         scene = self.scene
-        return sum(
-            scene.badness(name, self.pair.motion(side, angles, scene.steps), self.obstacles[name], scene.times)
-            for side, name in self.pair.ribs.items()
-        )
+        total = 0.0
+        for side, name in self.pair.ribs.items():
+            motion = self.pair.motion(side, angles, scene.steps)
+            obstacles = [*self.obstacles[name], *self.joints[name]]
+            total += scene.badness(name, motion, obstacles, scene.times, contacts=True)
+        return total
 
     def _candidates(self) -> list[Angles]:
         lowest = -MOST_LIFT if self.pair.number in FREE_RIBS else self.least_lift
@@ -254,7 +283,7 @@ class _Search:
         pairs = [(lift, spread) for lift in lifts for spread in spreads]
         return sorted(pairs, key=lambda item: (_size((item[0] - self.least_lift, item[1])), -item[0]))
 
-    def _reduced(self, angles: Angles, room: float, contacts: bool) -> Angles:
+    def _reduced(self, angles: Angles, room: float) -> Angles:
         """Halve the way back to rest as long as there is room."""
         low, high = 0.0, 1.0
         start = (self.least_lift, 0.0)
@@ -262,7 +291,7 @@ class _Search:
             return angles
         for _ in range(_HALVINGS):
             share = 0.5 * (low + high)
-            if self.fits(_between(start, angles, share), room, contacts=contacts):
+            if self.fits(_between(start, angles, share), room):
                 high = share
             else:
                 low = share

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from vhp_cli.inspection.proximity import near_pairs
 from vhp_cli.kernels.spatial import Tree, gap, overlap_volume, pair_hits
+from vhp_cli.stages.breathe.rest import is_worse, shared_loss
 from vhp_cli.stages.breathe.sequence import Motion
 from vhp_cli.stages.breathe.tissue import Tissue
-from vhp_cli.stages.breathe.verify import is_worse, shared_loss
 
 Array = NDArray[np.float64]
 
@@ -104,6 +104,13 @@ class Scene:
             self._rest_gaps[key] = most_mm if found is None else found.distance
         return self._rest_gaps[key]
 
+    def common(self, a: str, b: str) -> float:
+        """Return the volume that a pair has in common at rest, in mm3; NaN where it can't be told."""
+        pair = frozenset((a, b))
+        if pair not in self._common:
+            self._common[pair] = float(overlap_volume(self.tissues[a].tree, self.tissues[b].tree))
+        return self._common[pair]
+
     def touching(self, name: str) -> bool:
         """Tell if a tissue is in contact with any other at rest."""
         return any(name in pair for pair in self.in_contact)
@@ -194,17 +201,15 @@ class Scene:
         together = motion is not None and theirs is not None and motion.operations == theirs.operations
         if (motion is None and theirs is None) or (together and not (motion and motion.fields)):
             return None
-        pair = frozenset((name, other))
-        if pair not in self._common:
-            self._common[pair] = float(overlap_volume(self.tissues[name].tree, self.tissues[other].tree))
         found = gap(tree, self.tree(other, t), 0.0)
         if found is None:
             return None
         now = float(overlap_volume(tree, self.tree(other, t)))
-        if not is_worse(self._common[pair], now):
+        before = self.common(name, other)
+        if not is_worse(before, now):
             return None
         place = (float(found.points[1][0]), float(found.points[1][1]), float(found.points[1][2]))
-        more = 1.0 if np.isnan(now - self._common[pair]) else (now - self._common[pair]) ** (1.0 / 3.0)
+        more = 1.0 if np.isnan(now - before) else (now - before) ** (1.0 / 3.0)
         return Shortfall(name, other, t, more, place, True)
 
     def _one(self, name: str, tree: Tree, other: str, t: float, loss: float) -> Shortfall | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from vhp_cli.stages.breathe.blend import Blend
 from vhp_cli.stages.breathe.curves import added
 from vhp_cli.stages.breathe.operations import AXES, Operation, Rotate, Scale
 from vhp_cli.stages.breathe.profile import Profile
@@ -64,6 +65,20 @@ def _apply(model: Model) -> str:
         "s = min(max(depth/width, 0), 1);",
         "w = s.*s.*(3 - 2*s);",
         "end",
+        "",
+        "function d = outside(P, balls)",
+        "d = inf(size(P, 1), 1);",
+        "for k = 1:size(balls, 1)",
+        "  d = min(d, sqrt(sum(bsxfun(@minus, P, balls(k, 1:3)).^2, 2)) - balls(k, 4));",
+        "end",
+        "d = max(d, 0).^2;",
+        "end",
+        "",
+        "function W = shares(D)",
+        "W = ones(size(D));",
+        "for k = 1:size(D, 2), W(:, k) = prod(D(:, [1:k-1, k+1:end]), 2); end",
+        "W = bsxfun(@rdivide, W, sum(W, 2));",
+        "end",
     ]
     return "\n".join(lines) + "\n"
 
@@ -87,6 +102,8 @@ def _operation(operation: Operation) -> list[str]:
 
 
 def _field(field: Displacement) -> list[str]:
+    if isinstance(field, Blend):
+        return _blend(field)
     amplitude = added(field.amplitude.curve.terms("t"))
     if isinstance(field, Profile):
         heights = " ".join(map(repr, field.heights))
@@ -103,6 +120,19 @@ def _field(field: Displacement) -> list[str]:
         f"    w = w.*rise(R(:, 1) - ({left!r}), {field.x_taper!r}).*rise({right!r} - R(:, 1), {field.x_taper!r});",
         f"    P = P + ({amplitude})*w*[{direction}];",
     ]
+
+
+def _blend(blend: Blend) -> list[str]:
+    lines = ["    S = P; D = zeros(size(R, 1), 0);"]
+    for holder in blend.holders:
+        rows = "; ".join(" ".join(map(repr, ball)) for ball in holder.balls)
+        lines.append(f"    D(:, end + 1) = outside(R, [{rows}]);")
+    lines.append("    W = shares(D);")
+    for number, holder in enumerate(blend.holders, start=1):
+        if holder.operations:
+            lines += ["    P = R;", *(line for operation in holder.operations for line in _operation(operation))]
+            lines.append(f"    S = S + bsxfun(@times, W(:, {number}), P - R);")
+    return [*lines, "    P = S;"]
 
 
 def _frame(model: Model) -> str:
