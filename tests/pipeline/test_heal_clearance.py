@@ -45,6 +45,7 @@ def test_heal_and_take_apart(broken, out):
     jsonschema.Draft202012Validator(schema()).validate(report)
 
 
+@pytest.mark.slow
 def test_the_number_is_the_gap(broken, out):
     code, report = run(broken, "-o", out, "--clearance=0.4")
     assert code == 0 and report["settings"]["rules"]["P005"]["limit"] == 0.4

@@ -18,6 +18,7 @@ from vhp_cli.kernels.spatial import Tree, gap
 from vhp_cli.mesh import Mesh
 from vhp_cli.phantom import generate, plant_defects
 from vhp_cli.pipeline import clearance
+from vhp_cli.pipeline.stage import Limits
 
 
 def run(*arguments) -> tuple[int, dict]:
@@ -112,6 +113,7 @@ def test_the_report_validates_against_the_published_schema(torso):
     assert not jsonschema.Draft202012Validator(schema()).is_valid(report)
 
 
+@pytest.mark.slow
 def test_any_order_and_number_of_workers_give_the_same_bytes(torso, tmp_path):
     model, out, *_ = torso
     files = [model / f"{name}.stl" for name in reversed(TISSUES)]
@@ -156,13 +158,27 @@ def test_settings_decide_who_gives_way(tmp_path, out):
     assert meshes(out) == meshes(model)
 
 
-def test_rigid_tissues_share_the_way_or_stay(tmp_path, out):
-    model = written(tmp_path / "pair", {"rib_1": sphere(12, subdivisions=3), "rib_2": sphere(12, (23, 0, 0), 3)})
+def test_of_rigid_tissues_that_cross_one_gives_way_by_the_least_or_both_share_the_way_or_both_stay(tmp_path, out):
+    bones = {
+        "rib_1": sphere(12, subdivisions=3),
+        "rib_2": sphere(13, (24, 0, 0), 3),  # into the first
+        "rib_3": sphere(9, (0, -21.5, 0), 3),  # near the first, but not in contact
+    }
+    model = written(tmp_path / "bones", bones)
     code, report = run(model, "-o", out)
-    assert code == 0 and report["clearance"]["pairs"][0]["share"] == pytest.approx(0.5)
+    assert code == 1 and report["clearance"]["crossing_after"] == 0
+    assert [tissue(report, name)["status"] for name in bones] == ["unchanged", "changed", "unchanged"]
+    assert distance(out, "rib_1", "rib_2") == pytest.approx(0.3, abs=0.05)
+    reasons = {(pair["a"], pair["b"]): pair["reason"] for pair in report["clearance"]["unreached"]}
+    assert "rib_2 gives way by the least" in reasons["rib_1", "rib_2"]
+    assert "neither cross nor touch" in reasons["rib_1", "rib_3"]
+    code, _ = run(out, "-o", tmp_path / "again")
+    assert code == 1 and meshes(tmp_path / "again") == meshes(out)
+    code, report = run(model, "-o", out, "--overwrite", "--rigid-pairs", "share")
+    assert code == 0 and distance(out, "rib_1", "rib_2") >= 1 and distance(out, "rib_1", "rib_3") >= 1
     code, report = run(model, "-o", out, "--overwrite", "--rigid-pairs", "keep")
     assert code == 1 and meshes(out) == meshes(model)
-    assert report["clearance"]["unreached"][0]["reason"] == "both are rigid"
+    assert {pair["reason"] for pair in report["clearance"]["unreached"]} == {"both are rigid"}
 
 
 def test_pairs_that_may_touch_are_only_kept_from_crossing(tmp_path, out):
@@ -176,6 +192,7 @@ def test_pairs_that_may_touch_are_only_kept_from_crossing(tmp_path, out):
     assert 0 < distance(out, "rib", "cartilage") < 0.5
 
 
+@pytest.mark.slow
 def test_a_conflict_of_labels_is_settled_and_told(tmp_path, out):
     model = written(tmp_path / "pair", {"spleen": sphere(12, subdivisions=3), "bone": sphere(12, (10, 0, 0), 3)})
     code, report = run(model, "-o", out)
@@ -186,6 +203,7 @@ def test_a_conflict_of_labels_is_settled_and_told(tmp_path, out):
     assert tissue(report, "spleen")["volume_change"] < -0.3
 
 
+@pytest.mark.slow
 def test_what_can_not_be_had_is_told_with_its_place(tmp_path, out):
     plates = {
         "rib_1": box((-20, -20, -9), (20, 20, 0)),
@@ -199,8 +217,34 @@ def test_what_can_not_be_had_is_told_with_its_place(tmp_path, out):
     for pair in unreached:
         assert 0 < pair["after"]["min_gap_mm"] < 1 and pair["reason"] and len(pair["places"]) == 2
     assert meshes(out)["rib_1.stl"] == meshes(tmp_path / "press")["rib_1.stl"]
+    # Nor can another run have it: what was squeezed once is not squeezed more.
+    code, again = run(out, "-o", tmp_path / "again", "--rounds", 1)
+    assert code == 1 and meshes(tmp_path / "again") == meshes(out)
+    assert tissue(again, "nerve")["status"] == "refused"
+    assert "squeezed" in again["clearance"]["unreached"][0]["reason"]
 
 
+def test_pairs_are_declared_in_a_file_of_their_own(tmp_path, out, capsys):
+    model = written(tmp_path / "pair", {"rib": box((0, 0, 0), (9, 9, 9)), "cartilage": box((9, 0, 0), (18, 9, 9))})
+    (tmp_path / "pairs.toml").write_text(
+        '[[may-touch]]\na = "rib"\nb = "cart*"\n[[nested]]\ninner = "x"\nouter = "y"\n'
+    )
+    code, report = run(model, "-o", out, "--declare", tmp_path / "pairs.toml")
+    # What is declared counts, and what can't be had, as there is no such tissue, is an error.
+    assert code == 1 and set(report["summary"]["counts"]) == {"P006"}
+    assert report["summary"]["status"]["unchanged"] == 2
+    assert report["settings"]["may-touch"] == [{"a": "rib", "b": "cart*"}]
+    assert report["settings"]["nested"] == [{"inner": "x", "outer": "y"}]
+    (tmp_path / "pairs.toml").write_text('[[may-touch]]\na = "rib"\nb = "cart*"\n[rules]\nP005 = 2\n')
+    other = str(tmp_path / "other")
+    assert main(["separate", str(model), "-o", other, "--declare", str(tmp_path / "pairs.toml")]) == 2
+    assert "'rules' is no declaration" in capsys.readouterr().err
+    (tmp_path / "pairs.toml").write_text('[[may-touch]]\na = "rib"\n')
+    assert main(["separate", str(model), "-o", other, "--declare", str(tmp_path / "pairs.toml")]) == 2
+    assert "pairs.toml" in capsys.readouterr().err
+
+
+@pytest.mark.slow
 def test_the_same_surface_twice_and_open_surfaces_are_left_and_told(tmp_path, out):
     cup = sphere(12, subdivisions=3)
     cup = Mesh(cup.vertices, cup.faces[cup.vertices[cup.faces].mean(axis=1)[:, 2] < 8])
@@ -261,6 +305,23 @@ def test_dry_run_writes_nothing(tmp_path, out):
     assert result.exit_code == 0 and "separate" in result.stdout and not out.exists()
 
 
+def test_dry_run_knows_what_is_finished(torso, capsys):
+    model, out, *_ = torso
+    before = meshes(out)
+    assert main(["separate", str(model), "-o", str(out), "--dry-run"]) == 0
+    assert [line.split("\t")[1] for line in capsys.readouterr().out.splitlines()] == ["keep"] * len(TISSUES)
+    assert main(["separate", str(model), "-o", str(out), "--dry-run", "--overwrite"]) == 0
+    assert [line.split("\t")[1] for line in capsys.readouterr().out.splitlines()] == ["separate"] * len(TISSUES)
+    assert main(["separate", str(model), "-o", str(out), "--dry-run", "--gap", "2"]) == 2
+    assert "other settings" in capsys.readouterr().err and meshes(out) == before
+
+
+def test_large_tissues_have_more_time_unless_a_limit_is_given():
+    assert Limits(120, 4).timeout_for(10**7) == 120
+    assert Limits(120, 4, bytes_per_second=5e3).timeout_for(10**5) == 120
+    assert Limits(120, 4, bytes_per_second=5e3).timeout_for(5 * 10**6) == 1000
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4])
 def test_planted_contacts_are_gone(tmp_path, seed):
@@ -292,6 +353,7 @@ def nesting_of(model) -> dict:
     return check_model(find_model([model]), load_settings()).report["nesting"]
 
 
+@pytest.mark.slow
 def test_what_fails_when_done_more_finely_stays_as_it_was(tmp_path, out, monkeypatch):
     monkeypatch.setattr(clearance, "TARGET", "clearance_targets:only_coarse")
     model = written(tmp_path / "pair", {"spleen": sphere(12, subdivisions=3), "kidney": sphere(12, (23, 0, 0), 3)})
@@ -304,6 +366,7 @@ def test_what_fails_when_done_more_finely_stays_as_it_was(tmp_path, out, monkeyp
     assert {one["level"] for one in report["clearance"]["tissues"]} == {1}
 
 
+@pytest.mark.slow
 def test_others_give_way_for_what_does_not_but_bone_never(tmp_path, out, monkeypatch):
     monkeypatch.setattr(clearance, "TARGET", "clearance_targets:stubborn_spleen")
     tissues = {"spleen": sphere(12, subdivisions=3), "kidney": sphere(12, (23, 0, 0), 3)}

@@ -15,7 +15,7 @@ from vhp_cli.formats import write_mesh
 
 @pytest.fixture
 def skin(tmp_path):
-    write_mesh(tmp_path / "body.stl", sphere(15, subdivisions=3))
+    write_mesh(tmp_path / "body.stl", sphere(9, subdivisions=3))
     return tmp_path / "body.stl"
 
 
@@ -32,10 +32,10 @@ def test_three_shells_that_pass(skin, out):
     assert meshes(out) == first
 
 
+@pytest.mark.slow
 def test_maps_and_arrays(skin, out, tmp_path):
     (tmp_path / "fat.toml").write_text(
-        'age = "30-39"\n[[point]]\nplace = "Lateral Arm"\nxyz = [15, 0, 0]\n'
-        "[[point]]\nthickness = 3\nxyz = [-15, 0, 0]\n"
+        'age = "30-39"\n[[point]]\nplace = "Medial Arm"\nxyz = [9, 0, 0]\n[[point]]\nthickness = 3\nxyz = [-9, 0, 0]\n'
     )
     assert main(["-q", "shells", str(skin), "-o", str(out), "--fat", str(tmp_path / "fat.toml")]) == 0
     np.save(tmp_path / "fat.npy", np.full(1280, 2.5))

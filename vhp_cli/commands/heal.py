@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from vhp_cli.commands.declaring import declare_option, with_declared
 from vhp_cli.commands.options import judging_options, model_options, report_options, stage_options, worker_options
 from vhp_cli.commands.staging import Shared, run_staged
+from vhp_cli.commands.time_limits import by_size
 from vhp_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -58,6 +61,7 @@ def _gap(ctx: click.Context, parameter: click.Parameter, value: str | None) -> f
     callback=_gap,
     help="Then take tissues apart as `vhp separate` does, to a gap of so many mm (--clearance=0.5). [default: --gap]",
 )
+@declare_option
 @judging_options
 @report_options
 @worker_options
@@ -74,6 +78,7 @@ def heal(
     only_topology: bool,
     thicken: float | None,
     clearance: float | None,
+    declare: Path | None,
     **shared: Any,
 ) -> None:
     """Heal a model: close holes, resolve self-intersections, turn faces outward, improve triangles.
@@ -90,6 +95,8 @@ def heal(
         if shared["gap"] not in (None, clearance):
             raise UsageError(f"--clearance {clearance:g} and --gap {shared['gap']:g} contradict each other")
         shared["gap"] = clearance
+    if declare and clearance is None:
+        raise UsageError("--declare says how tissues are taken apart", hint="add --clearance")
     request = Shared(**shared)
     flags = {
         "max-deviation": max_deviation,
@@ -102,7 +109,7 @@ def heal(
         "only-topology": only_topology or None,
         "thicken": thicken,
     }
-    settings = request.settings()
+    settings = with_declared(request.settings(), declare)
     options, options_of = _options(settings, {key: value for key, value in flags.items() if value is not None})
 
     from vhp_cli.pipeline.stage import Stage
@@ -113,14 +120,18 @@ def heal(
         return
 
     from vhp_cli.commands.separate import clearance_options
-    from vhp_cli.pipeline.healed_clearance import heal_and_separate
+    from vhp_cli.pipeline.healed_clearance import heal_and_separate, plan_healing
 
     apart = clearance_options(settings, {})
 
     def run(model: Any, out: Any, stage: Stage, settings: Settings, **how: Any) -> Any:
-        return heal_and_separate(model, out, stage, apart, settings, **how)
+        limits = by_size(ctx, how["limits"])
+        return heal_and_separate(model, out, stage, apart, settings, **{**how, "limits": limits})
 
-    run_staged(ctx, stage, settings, request, run=run)
+    def plan(model: Any, out: Any, stage: Stage, settings: Settings, **how: Any) -> Any:
+        return plan_healing(model, out, stage, apart, settings, **how)
+
+    run_staged(ctx, stage, settings, request, run=run, plan=plan)
 
 
 def _options(settings: Settings, flags: Mapping[str, object]) -> tuple[HealOptions, Callable[[str], HealOptions]]:

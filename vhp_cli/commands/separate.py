@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from vhp_cli.commands.declaring import declare_option, with_declared
 from vhp_cli.commands.options import judging_options, model_options, report_options, stage_options, worker_options
 from vhp_cli.commands.staging import Shared, run_staged
+from vhp_cli.commands.time_limits import by_size
 
 if TYPE_CHECKING:
     from vhp_cli.config import Settings
@@ -33,10 +36,12 @@ _LENGTH = click.FloatRange(min=0, min_open=True)
 )
 @click.option(
     "--rigid-pairs",
-    type=click.Choice(["share", "keep"]),
-    help="Let two rigid tissues that are too close both give way, or leave them. [default: share]",
+    type=click.Choice(["least", "share", "keep"]),
+    help="Two rigid tissues: part those that cross by the least, let both give way to the whole gap, or leave them. "
+    "[default: least]",
 )
 @click.option("--rounds", type=click.IntRange(0, 6), metavar="N", help="Refinements of what is too close. [default: 3]")
+@declare_option
 @judging_options
 @report_options
 @worker_options
@@ -50,6 +55,7 @@ def separate(
     thin: float | None,
     rigid_pairs: str | None,
     rounds: int | None,
+    declare: Path | None,
     **shared: Any,
 ) -> None:
     """Take the tissues of a model apart: no crossing, no contact, and a gap between any two (--gap).
@@ -71,17 +77,20 @@ def separate(
         "rigid-pairs": rigid_pairs,
         "rounds": rounds,
     }
-    settings = request.settings()
+    settings = with_declared(request.settings(), declare)
     options = clearance_options(settings, {key: value for key, value in flags.items() if value is not None})
 
-    from vhp_cli.pipeline.clearance import COMMAND, TARGET, separate_model
+    from vhp_cli.pipeline.clearance import COMMAND, TARGET, plan_separation, separate_model
     from vhp_cli.pipeline.stage import Stage
 
     def run(model: Any, out: Any, stage: Stage, settings: Settings, **how: Any) -> Any:
-        return separate_model(model, out, options, settings, **how)
+        return separate_model(model, out, options, settings, **{**how, "limits": by_size(ctx, how["limits"])})
+
+    def plan(model: Any, out: Any, stage: Stage, settings: Settings, **how: Any) -> Any:
+        return plan_separation(model, out, options, settings, **how)
 
     stage = Stage(COMMAND, TARGET, partial(_checked, settings), options.as_dict())
-    run_staged(ctx, stage, settings, request, run=run)
+    run_staged(ctx, stage, settings, request, run=run, plan=plan)
 
 
 def clearance_options(settings: Settings, flags: Mapping[str, object]) -> ClearanceOptions:

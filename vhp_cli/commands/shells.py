@@ -17,6 +17,7 @@ from vhp_cli.commands.common import (
     write_reports,
 )
 from vhp_cli.commands.options import judging_options, report_options, worker_options
+from vhp_cli.commands.time_limits import by_size
 
 _LENGTH = click.FloatRange(min=0, min_open=True)
 
@@ -107,7 +108,7 @@ def shells(
                 fat=fat,
                 grid_mm=grid,
                 jobs=jobs,
-                limits=Limits(timeout, memory),
+                limits=by_size(ctx, Limits(timeout, memory)),
                 overwrite=overwrite,
                 progress=progress,
             )

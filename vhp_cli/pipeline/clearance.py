@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import queue
 import time
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from vhp_cli.errors import UnreadableFileError, VhpError
 from vhp_cli.formats.atomic import refused, write_atomically
 from vhp_cli.measures import Action, Report
 from vhp_cli.mesh import Mesh
-from vhp_cli.model import Model
+from vhp_cli.model import Model, TissueFile
 from vhp_cli.pipeline.check import Checked, Progress, available_cores, check_model
 from vhp_cli.pipeline.clearance_plan import Neighbour, Plan, looking_farther, make_plan
 from vhp_cli.pipeline.clearance_report import clearance_report, reached
@@ -28,6 +28,7 @@ from vhp_cli.pipeline.journal import Entry, Head, Journal, Recorded, head_of
 from vhp_cli.pipeline.measuring import parse_in_mm
 from vhp_cli.pipeline.output import clear, earlier_run, output_files, refuse_overlap, sha256_of, sole_writer
 from vhp_cli.pipeline.stage import Limits
+from vhp_cli.pipeline.stage import Plan as StagePlan
 from vhp_cli.pipeline.stage_report import stage_report
 from vhp_cli.pipeline.staged import Staged, run_facts
 from vhp_cli.pipeline.task import Result, Task
@@ -60,6 +61,8 @@ class TissueTask:
         How finely it is done.
     may_shrink
         Whether it loses much of its volume to another one.
+    rigid
+        Whether it gives way to other rigid ones only, and no farther than it must.
     """
 
     neighbours: tuple[tuple[Neighbour, Path], ...]
@@ -67,6 +70,7 @@ class TissueTask:
     settings: Settings
     level: int
     may_shrink: bool
+    rigid: bool = False
 
 
 def separate_tissue(mesh: Mesh, task: TissueTask) -> Outcome:
@@ -76,7 +80,34 @@ def separate_tissue(mesh: Mesh, task: TissueTask) -> Outcome:
         found = parse_in_mm(path, formats.read_bytes(path), task.settings).mesh
         bounds.append(Bound(neighbour.kind, SignedDistance(found), neighbour.gap_mm, neighbour.share))
     cell = Cell(SignedDistance(mesh), bounds)
-    return separate(mesh, cell, task.options, Attempt(task.level), may_shrink=task.may_shrink)
+    return separate(mesh, cell, task.options, Attempt(task.level), may_shrink=task.may_shrink, shrinks_only=task.rigid)
+
+
+def plan_separation(
+    model: Model,
+    out: Path,
+    options: ClearanceOptions,
+    settings: Settings,
+    *,
+    paths: Sequence[Path],
+    overwrite: bool = False,
+) -> StagePlan:
+    """Return what `separate_model` would do; nothing is written.
+
+    Raises
+    ------
+    UsageError
+        If the output directory can't be used.
+    """
+    settings = looking_farther(settings, [tissue.name for tissue in model.tissues])
+    refuse_overlap(out, model, paths)
+    files = output_files(model, paths)
+    found = earlier_run(out, head_of(COMMAND, _identity(model, options, settings)), overwrite=overwrite)
+    if found is None:
+        return StagePlan(tuple(files), {}, {}, {})
+    kept, _ = _taken_over(found, out, {tissue.name: tissue for tissue in model.tissues}, _named(model, files))
+    done = {file: entry for file, entry in kept.items() if entry.level == found.levels.get(file, 0)}
+    return StagePlan(tuple(files), kept, done, found.levels)
 
 
 def separate_model(
@@ -131,12 +162,12 @@ def separate_model(
         while True:
             if any(run.levels.values()):
                 # From the second round on, others give way for those that did not.
-                run.plan = make_plan(before.report, settings, options, run.stuck)
+                run.plan = make_plan(before.report, settings, options, run.stuck, run.squeezed)
             run.round(jobs or available_cores(), progress)
             clock = time.perf_counter()
             after = check(run.written, "result", [out])
             checking += time.perf_counter() - clock
-            renewed = make_plan(before.report, settings, options, run.stuck)
+            renewed = make_plan(before.report, settings, options, run.stuck, run.squeezed)
             again = _too_close(renewed, after.report, run, options)
             if not again:
                 break
@@ -168,9 +199,10 @@ class _Run:
     ) -> None:
         self._out, self.plan, self._options, self._settings = out, plan, options, settings
         self._head, self._limits = head, limits
-        self._files = {tissue.name: file for tissue, file in zip(model.tissues, files, strict=True)}
+        self._files = _named(model, files)
         self._sources = {tissue.name: tissue for tissue in model.tissues}
-        kept, self.levels = self._earlier(earlier_run(out, head, overwrite=overwrite))
+        found = earlier_run(out, head, overwrite=overwrite)
+        kept, self.levels = _taken_over(found, out, self._sources, self._files)
         clear(out, files)
         self._journal = Journal(out, head, kept, self._by_file())
         for file in files:
@@ -190,8 +222,16 @@ class _Run:
     @property
     def stuck(self) -> list[str]:
         """The tissues that could not be brought into their rooms."""
+        return self._with(lambda entry: entry.status == "refused" and SQUEEZED not in entry.reason)
+
+    @property
+    def squeezed(self) -> list[str]:
+        """The tissues that could not be brought into their rooms all the way, in this run or before."""
+        return self._with(lambda entry: _is_stuck(entry) and (entry.status != "refused" or SQUEEZED in entry.reason))
+
+    def _with(self, told: Callable[[Entry], bool]) -> list[str]:
         entries = self._journal.entries
-        return [name for name, file in self._files.items() if file in entries and entries[file].status == "refused"]
+        return [name for name, file in self._files.items() if file in entries and told(entries[file])]
 
     def round(self, jobs: int, progress: Progress | None) -> None:
         """Do every tissue that is not done, those within others after them."""
@@ -207,12 +247,21 @@ class _Run:
             children.put(child)
         executor = ThreadPoolExecutor(max(jobs, 1))
         try:
-            for wave in self.plan.waves(list(self._files)):
-                names = [name for name in wave if name in todo]
-                names.sort(key=lambda name: -_size(self._sources[name].path))
-                futures = [executor.submit(self._one, name, children) for name in names]
-                for future in as_completed(futures):
+            waits = self._order(todo)
+            running: dict[Future[None], str] = {}
+            while waits or running:
+                ready = sorted(
+                    (name for name, before in waits.items() if not before),
+                    key=lambda name: (-_size(self._sources[name].path), name),
+                )
+                for name in ready[: max(jobs, 1) - len(running)]:
+                    del waits[name]
+                    running[executor.submit(self._one, name, children)] = name
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    name = running.pop(future)
                     future.result()
+                    for before in waits.values():
+                        before.discard(name)
                     done += 1
                     if progress:
                         progress(COMMAND, done, len(todo))
@@ -221,27 +270,19 @@ class _Run:
             for child in kept:
                 child.close()
 
+    def _order(self, todo: Collection[str]) -> dict[str, set[str]]:
+        """Return for each tissue that is to be done those that come before it: around it, and to be done, too."""
+        depth = {name: level for level, wave in enumerate(self.plan.waves(list(self._files))) for name in wave}
+        return {
+            name: {parent for parent in self.plan.parents(name) if parent in todo and depth[parent] < depth[name]}
+            for name in todo
+        }
+
     def refine(self, names: Sequence[str]) -> None:
         """Have some tissues done anew, more finely."""
         for name in names:
             self.levels[name] += 1
         self._journal = Journal(self._out, self._head, self._journal.entries, self._by_file())
-
-    def _earlier(self, found: Recorded | None) -> tuple[dict[str, Entry], dict[str, int]]:
-        """Return what an earlier run on the same inputs finished, and how finely each tissue is to be done."""
-        nothing: dict[str, int] = dict.fromkeys(self._files, 0)
-        if found is None:
-            return {}, nothing
-        levels = {name: found.levels.get(file, 0) for name, file in self._files.items()}
-        kept = {}
-        for name, file in self._files.items():
-            entry = found.entries.get(file)
-            whole = entry is not None and entry.status != "failed" and sha256_of(self._out / file) == entry.output
-            # A tissue was done with the final surfaces of those around it: all before it have to be kept, too.
-            if entry is not None and whole and entry.source == sha256_of(self._sources[name].path):
-                kept[file] = entry
-        complete = len(kept) == len(self._files)
-        return kept, levels if complete or any(levels.values()) else nothing
 
     def _by_file(self) -> dict[str, int]:
         return {self._files[name]: level for name, level in self.levels.items() if level}
@@ -318,11 +359,13 @@ class _Run:
     ) -> Result:
         source = self._sources[name]
         places = tuple((neighbour, self._surface_of(neighbour).absolute()) for neighbour in neighbours)
-        told = TissueTask(places, options, self._settings, level, self.plan.may_shrink(name))
+        told = TissueTask(
+            places, options, self._settings, level, self.plan.may_shrink(name), self.plan.stiffness[name].rigid
+        )
         task = Task(replace(source, path=source.path.absolute()), TARGET, told, self._settings)
         child = children.get()
         try:
-            result: Result = child.call(_WORK, task, timeout_s=self._limits.timeout_s)
+            result: Result = child.call(_WORK, task, timeout_s=self._limits.timeout_for(_size(source.path)))
             return result
         except CallFailed as error:
             return Result("failed", f"{_REASONS[error.reason]}: {error.detail}")
@@ -349,22 +392,47 @@ def _identity(model: Model, options: ClearanceOptions, settings: Settings) -> di
     }
 
 
+def _named(model: Model, files: Sequence[str]) -> dict[str, str]:
+    return {tissue.name: file for tissue, file in zip(model.tissues, files, strict=True)}
+
+
+def _taken_over(
+    found: Recorded | None, out: Path, sources: Mapping[str, TissueFile], files: Mapping[str, str]
+) -> tuple[dict[str, Entry], dict[str, int]]:
+    """Return what an earlier run on the same inputs finished, and how finely each tissue is to be done."""
+    nothing: dict[str, int] = dict.fromkeys(files, 0)
+    if found is None:
+        return {}, nothing
+    levels = {name: found.levels.get(file, 0) for name, file in files.items()}
+    kept = {}
+    for name, file in files.items():
+        entry = found.entries.get(file)
+        whole = entry is not None and entry.status != "failed" and sha256_of(out / file) == entry.output
+        # A tissue was done with the final surfaces of those around it: all before it have to be kept, too.
+        if entry is not None and whole and entry.source == sha256_of(sources[name].path):
+            kept[file] = entry
+    complete = len(kept) == len(files)
+    return kept, levels if complete or any(levels.values()) else nothing
+
+
 def _too_close(plan: Plan, report: Report, run: _Run, options: ClearanceOptions) -> list[str]:
     """Return the tissues that are still too close to another one and that may come out better, done more finely."""
     hopeful = {
         record["name"]
         for record, entry in zip(report["tissues"], run.entries, strict=True)
-        if entry.status not in ("refused", "failed")
-        and entry.level < options.rounds
-        and not any(action["step"] == SQUEEZED for action in entry.actions)
+        if entry.status not in ("refused", "failed") and entry.level < options.rounds and not _is_stuck(entry)
     }
     found: set[str] = set()
     wanted = {(pair.a, pair.b): pair for pair in plan.pairings}
     for pair in report["pairs"]:
         pairing = wanted.get((pair["a"], pair["b"]))
-        if pairing is not None and pairing.kind not in ("identical", "kept") and not reached(pairing, pair):
+        if pairing is not None and pairing.kind not in ("identical", "kept") and not reached(pairing, pair, aimed=True):
             found.update(name for name in (pairing.a, pairing.b) if pairing.share_of(name) > 0)
     return [tissue["name"] for tissue in report["tissues"] if tissue["name"] in found & hopeful]
+
+
+def _is_stuck(entry: Entry) -> bool:
+    return entry.status == "refused" or any(action["step"] == SQUEEZED for action in entry.actions)
 
 
 def _size(path: Path) -> int:

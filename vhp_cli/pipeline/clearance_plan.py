@@ -47,16 +47,20 @@ class Plan:
         found = []
         for pair in self.of.get(name, []):
             other, share = pair.other(name), pair.share_of(name)
-            if pair.kind in ("identical", "kept") or not share:
+            if pair.kind == "identical":
                 continue
-            if pair.kind == "nested":
-                found.append(Neighbour("parent" if pair.inner == name else "core", other, pair.gap_mm))
-            elif pair.close or not pair.may_touch:
-                found.append(Neighbour("apart", other, pair.gap_mm, share))
+            if pair.kind == "kept" or (pair.may_touch and not pair.close):
+                # Neither gives way, but what moves for others must not move into it.
+                found.append(Neighbour("apart", other, pair.aim_mm, 0.0))
+            elif pair.kind == "nested":
+                if share:
+                    found.append(Neighbour("parent" if pair.inner == name else "core", other, pair.aim_mm))
+            else:
+                found.append(Neighbour("apart", other, pair.aim_mm, share))
                 found += [
-                    Neighbour("beyond", core.inner, core.gap_mm + pair.gap_mm)
+                    Neighbour("beyond", core.inner, core.aim_mm + pair.aim_mm)
                     for core in self.of[other]
-                    if core.outer == other and core.close and core.share_of(other) == 1
+                    if share and core.outer == other and core.close and core.share_of(other) == 1
                 ]
         # A core that grows out of a neighbour may be a neighbour itself.
         return list(dict.fromkeys(found))
@@ -93,7 +97,13 @@ class Plan:
         return [[name for name in names if depth[name] == level] for level in range(max(depth.values(), default=0) + 1)]
 
 
-def make_plan(report: Report, settings: Settings, options: ClearanceOptions, stuck: Collection[str] = ()) -> Plan:
+def make_plan(
+    report: Report,
+    settings: Settings,
+    options: ClearanceOptions,
+    stuck: Collection[str] = (),
+    squeezed: Collection[str] = (),
+) -> Plan:
     """Decide how the tissues of a model are to lie to each other.
 
     Parameters
@@ -104,6 +114,9 @@ def make_plan(report: Report, settings: Settings, options: ClearanceOptions, stu
         Of the run.
     stuck
         Tissues that turned out not to give way: others beside them do it for both, but not rigid ones.
+    squeezed
+        Tissues that turned out to give way a part of the way only: others do it for both, but not rigid or thin ones,
+        for which that would be worse than a gap that is too small.
 
     Raises
     ------
@@ -120,7 +133,13 @@ def make_plan(report: Report, settings: Settings, options: ClearanceOptions, stu
         for name, tissue in tissues.items()
     }
     pairings = tuple(
-        _without(stuck, pairing(pair, tissues, stiffness, settings, options), stiffness) for pair in report["pairs"]
+        _without(
+            squeezed,
+            _without(stuck, pairing(pair, tissues, stiffness, settings, options), stiffness),
+            stiffness,
+            least_mm=2 * options.thin_mm,
+        )
+        for pair in report["pairs"]
     )
     of: dict[str, list[Pairing]] = {name: [] for name in tissues}
     for one in pairings:
@@ -129,12 +148,18 @@ def make_plan(report: Report, settings: Settings, options: ClearanceOptions, stu
     return Plan(pairings, stiffness, of)
 
 
-def _without(stuck: Collection[str], pair: Pairing, stiffness: Mapping[str, Stiffness]) -> Pairing:
-    """Return how two tissues beside each other are to lie if some do not give way; a rigid one does not for them."""
+def _without(
+    stuck: Collection[str], pair: Pairing, stiffness: Mapping[str, Stiffness], least_mm: float = 0.0
+) -> Pairing:
+    """Return how two tissues beside each other are to lie if some do not give way.
+
+    A rigid one does not for them, nor one that is thinner than `least_mm`.
+    """
     if pair.kind != "apart" or (pair.a in stuck) == (pair.b in stuck):
         return pair
     other = pair.b if pair.a in stuck else pair.a
-    return pair if stiffness[other].rigid else replace(pair, share=1.0 if other == pair.a else 0.0)
+    stays = stiffness[other].rigid or stiffness[other].thickness_mm < least_mm
+    return pair if stays else replace(pair, share=1.0 if other == pair.a else 0.0)
 
 
 def looking_farther(settings: Settings, names: Sequence[str]) -> Settings:

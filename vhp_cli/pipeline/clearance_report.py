@@ -62,8 +62,11 @@ def clearance_report(
     }
 
 
-def reached(pairing: Pairing, pair: PairRecord) -> bool:
-    """Tell whether a pair lies as it should, by what was measured between the two."""
+def reached(pairing: Pairing, pair: PairRecord, *, aimed: bool = False) -> bool:
+    """Tell whether a pair lies as it should, by what was measured between the two.
+
+    `aimed`: whether it has the gap that was worked for, which may be less than the one asked for.
+    """
     if pair["relation"] == "touching":
         return pairing.may_touch
     if pair["relation"] in ("crossing", "identical"):
@@ -71,7 +74,7 @@ def reached(pairing: Pairing, pair: PairRecord) -> bool:
     if pairing.inner and pair["inside"] != ("a" if pairing.inner == pairing.a else "b"):
         return False
     gap = pair["min_gap_mm"]
-    return pairing.may_touch or gap is None or gap >= pairing.gap_mm * (1 - GAP_ROUNDING)
+    return pairing.may_touch or gap is None or gap >= (pairing.aim_mm if aimed else pairing.gap_mm) * (1 - GAP_ROUNDING)
 
 
 def _pair(

@@ -17,10 +17,38 @@ from vhp_cli.pipeline.clearance import separate_model
 from vhp_cli.pipeline.journal import read_journal
 from vhp_cli.pipeline.measuring import parse_in_mm
 from vhp_cli.pipeline.output import output_files, refuse_overlap
-from vhp_cli.pipeline.stage import Limits, Stage
+from vhp_cli.pipeline.stage import Limits, Plan, Stage, plan_stage
 from vhp_cli.pipeline.staged import Staged, run_and_check
 from vhp_cli.stages.clearance.options import ClearanceOptions
 from vhp_cli.stages.clearance.relations import gap_of
+
+
+def plan_healing(
+    model: Model,
+    out: Path,
+    stage: Stage,
+    options: ClearanceOptions,
+    settings: Settings,
+    *,
+    paths: Sequence[Path],
+    overwrite: bool = False,
+) -> Plan:
+    """Return what `heal_and_separate` would do; nothing is written.
+
+    Raises
+    ------
+    UsageError
+        If the output directory can't be used.
+    """
+    _refuse_foreign(out, model, paths, overwrite=overwrite)
+    between = _between(out)
+    healed = plan_stage(model, between, stage, settings, paths=paths, overwrite=overwrite)
+    if not between.exists():
+        # All was finished, or nothing begun.
+        recorded = None if overwrite else read_journal(out)
+        done = recorded.entries if recorded and recorded.entries.keys() == set(healed.files) else {}
+        return Plan(healed.files, done, done, {})
+    return healed
 
 
 def heal_and_separate(
@@ -56,10 +84,8 @@ def heal_and_separate(
     UsageError
         If the output directory can't be used, or not one file could be read.
     """
-    refuse_overlap(out, model, paths)
-    if not overwrite and out.is_dir() and any(out.iterdir()) and read_journal(out) is None:
-        raise UsageError(f"{out} is not empty", hint="give another directory, or --overwrite")
-    between = out.with_name(f".{out.name}.healed")
+    _refuse_foreign(out, model, paths, overwrite=overwrite)
+    between = _between(out)
     files = output_files(model, paths)
     healed = run_and_check(
         model,
@@ -97,6 +123,16 @@ def heal_and_separate(
     if not failed:
         shutil.rmtree(between, ignore_errors=True)
     return Staged(report, failed, healed.reused)
+
+
+def _refuse_foreign(out: Path, model: Model, paths: Sequence[Path], *, overwrite: bool) -> None:
+    refuse_overlap(out, model, paths)
+    if not overwrite and out.is_dir() and any(out.iterdir()) and read_journal(out) is None:
+        raise UsageError(f"{out} is not empty", hint="give another directory, or --overwrite")
+
+
+def _between(out: Path) -> Path:
+    return out.with_name(f".{out.name}.healed")
 
 
 def _together(

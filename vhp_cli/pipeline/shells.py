@@ -137,7 +137,7 @@ def make_shells(
     with sole_writer(out), Child(memory_gb=limits.memory_gb, name="the worker") as child:
         if progress:
             progress(COMMAND, 0, 1)
-        found = child.call(_WORK, mesh, skin_mm, thickness, grid_mm, timeout_s=limits.timeout_s)
+        found = child.call(_WORK, mesh, skin_mm, thickness, grid_mm, timeout_s=limits.timeout_for(len(data)))
         made = [Shell(name, Mesh(vertices, faces), gap, crumbs) for name, vertices, faces, gap, crumbs in found]
         suffix = source.suffix.lower()
         write_atomically(out / f"{SKIN}{suffix}", data)

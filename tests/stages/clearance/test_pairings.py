@@ -111,9 +111,25 @@ def test_shares_follow_from_yielding_and_thickness():
     assert share_of(Stiffness(0.0), Stiffness(0.9, fixed=True), thin_mm=4.5) == 1
 
 
-def test_rigid_pairs_can_be_left_as_they_are():
+def test_of_two_rigid_tissues_that_cross_the_larger_one_gives_way_by_the_least():
     bones = (Stiffness(0.0), Stiffness(0.0))
-    assert decided(pair(overlap=5), stiffness=bones).kind == "apart"
+    for relation in ("crossing", "touching"):
+        found = decided(pair(relation, overlap=5), stiffness=bones, volumes=(900.0, 1000.0))
+        assert (found.kind, found.share, found.gap_mm, found.aim_mm) == ("apart", 0.0, 1.0, 0.3)
+        assert "b gives way by the least" in found.reason
+    found = decided(pair("disjoint", gap=0.1), stiffness=bones)
+    assert (found.kind, found.close) == ("kept", True) and "neither cross nor touch" in found.reason
+    one_fixed = (Stiffness(0.0), Stiffness(0.0, fixed=True))
+    assert decided(pair(overlap=5), stiffness=one_fixed, volumes=(900.0, 1000.0)).share == 1.0
+    # The gap that was asked for is the least, if it is smaller still.
+    found = decided(pair(overlap=5), stiffness=bones, rigid_gap_mm=2.0)
+    assert (found.aim_mm, found.reason) == (1.0, "")
+
+
+def test_rigid_pairs_can_share_the_way_or_be_left_as_they_are():
+    bones = (Stiffness(0.0), Stiffness(0.0))
+    found = decided(pair(overlap=5), stiffness=bones, rigid_pairs="share")
+    assert (found.kind, found.share, found.aim_mm) == ("apart", 0.5, 1.0)
     assert decided(pair(overlap=5), stiffness=bones, rigid_pairs="keep").kind == "kept"
 
 

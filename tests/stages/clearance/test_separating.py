@@ -83,7 +83,7 @@ def test_shallow_overlap_is_moved_and_keeps_its_triangles():
     assert np.array_equal(a.vertices[far], A.vertices[far])
 
 
-@pytest.mark.parametrize("distance", [38.0, 31.0])
+@pytest.mark.parametrize("distance", [38.0, pytest.param(31.0, marks=pytest.mark.slow)])
 def test_cut_spheres_lose_their_caps(distance):
     b = sphere(20, (distance, 0, 0), 4)
     first, second, outcome = both(A, b, 0.5, method="cut")
@@ -95,7 +95,9 @@ def test_cut_spheres_lose_their_caps(distance):
         assert candidate.sound and candidate.min_quality > 0.1 and candidate.measures["components"] == 1
         lost = volume(A) - candidate.measures["volume_mm3"]
         assert cap(20, depth) * 0.95 < lost < cap(20, depth + 0.25)
-    assert known_vertices(first, A).mean() > 0.8
+    # What is 3 mm from the cut is as it was.
+    beyond = A.vertices[A.vertices[:, 0] < 20 - depth - 3]
+    assert known_vertices(Mesh(beyond, np.empty((0, 3), np.int32)), first).all()
 
 
 def test_a_rigid_neighbour_stays_and_the_other_one_yields_for_both():
@@ -123,6 +125,7 @@ def test_a_thin_tube_is_moved_as_a_whole_and_loses_next_to_nothing():
     assert volume(cut.mesh) / volume(thin) < 0.9
 
 
+@pytest.mark.slow
 def test_what_sticks_out_of_its_parent_is_brought_inside():
     inner, parent = sphere(10, (6, 0, 0), 4), sphere(15, (0, 0, 0), 4)
     outcome = brought(inner, ("parent", parent, 1.0, 1.0))
@@ -164,6 +167,7 @@ def test_nothing_is_done_where_there_is_nothing_to_do():
     assert brought(A, ("apart", sphere(20, (41.1, 0, 0), 4), 1.0, 0.5)).status == "unchanged"
 
 
+@pytest.mark.slow
 def test_what_would_vanish_is_refused():
     small = sphere(3, (0, 0, 0), 2)
     outcome = brought(small, ("apart", A, 1.0, 1.0))
@@ -178,6 +182,7 @@ def test_an_open_surface_can_be_moved_but_not_cut():
     assert deep.status == "refused" and "heal it first" in deep.reason
 
 
+@pytest.mark.slow
 def test_moving_alone_says_when_it_fails():
     outcome = brought(A, ("apart", sphere(20, (25, 0, 0), 4), 1.0, 0.5), method="move")
     assert outcome.status == "refused" or apart(outcome.mesh, A) >= 0

@@ -39,6 +39,7 @@ def test_shells_of_a_ball_are_as_deep_as_asked():
         assert (Tree(outer.vertices, outer.faces).inside(shell.vertices) == 1).all()
 
 
+@pytest.mark.slow
 def test_thickness_that_varies_is_followed():
     wanted = 5 + 3 * BODY.vertices[:, 2] / 20
     _, body = shells(BODY, 1.0, wanted)
@@ -46,6 +47,7 @@ def test_thickness_that_varies_is_followed():
     assert np.abs(depths(BODY, body.mesh) - below).max() < 0.4
 
 
+@pytest.mark.slow
 def test_between_fingers_shells_stay_apart_and_sound():
     def hand(points, _):
         def rod(start, end, radius):

@@ -16,6 +16,7 @@ Floats = NDArray[np.float64]
 
 # The cutter reaches so many cells beyond the surface of the tissue: its own edge, out there, is cut off by the grid.
 _BEYOND = 2.2
+_FARTHER = 1.01
 # Vertices of the cutter that are off the border by less than this part of a cell are brought nearer by such a step.
 _FARTHEST_STEP, _STEP = 0.3, 0.9
 _BULGES = 2
@@ -23,8 +24,9 @@ _BULGES = 2
 _NEAR = 0.6
 # Cutters are simplified by this part of a cell.
 _SIMPLIFY = 0.03
-# Separate pieces left over by a cut with less than this many cubic gaps are crumbs.
-_CRUMB = 8.0
+# Separate pieces left over by a cut are crumbs if they have less than this many cubic gaps, or this share of the
+# tissue: it was one piece before.
+_CRUMB, _CRUMB_SHARE = 8.0, 0.03
 
 
 def carved(
@@ -68,7 +70,8 @@ def carved(
         values = own - _BEYOND * grid_mm
         at = np.flatnonzero(values <= reach_mm)
         known = own[at] if current is cell.own else None
-        excess = cell.excess(points[at], reach_mm + margin_mm, cores=False, own=known)
+        # A bit farther than asked: what is known only to be beyond that must not look as if it were at the limit.
+        excess = cell.excess(points[at], _FARTHER * reach_mm + margin_mm, cores=False, own=known)
         values[at] = np.maximum(values[at], -(excess + margin_mm))
         return values
 
@@ -160,7 +163,8 @@ def _without_crumbs(mesh: Mesh, given: Mesh, least_mm3: float) -> tuple[Mesh, fl
     new = ~known_vertices(mesh, given)
     is_cut = np.zeros(topology.n_components, dtype=np.bool_)
     is_cut[topology.component[new[mesh.faces].any(axis=1)]] = True
-    crumbs = is_cut & (np.abs(volumes) < min(least_mm3, 0.1 * float(volumes.max())))
+    whole = float(np.abs(volumes).sum())
+    crumbs = is_cut & (np.abs(volumes) < max(min(least_mm3, 0.1 * float(volumes.max())), _CRUMB_SHARE * whole))
     if not crumbs.any():
         return mesh, 0.0
     return Mesh(mesh.vertices, mesh.faces[~crumbs[topology.component]]), float(volumes[crumbs].sum())

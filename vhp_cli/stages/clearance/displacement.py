@@ -24,8 +24,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _ITERATIONS = 40
-# Points of the surface stand for parts of this size, in gaps, where it may exceed its room.
-_SPACING_GAPS = 0.25
+# Points of the surface stand for parts of this size, in gaps, or in mm if that is more, where it may exceed its room.
+_SPACING_GAPS, _LEAST_SPACING_MM = 0.35, 0.2
 _SPREADS = 4
 # The surface around follows by exp(-distance / length); the length in mm, or in mean edges if that is more.
 _FALLOFF_MM, _FALLOFF_EDGES = 5.0, 2.5
@@ -74,12 +74,13 @@ def displaced(mesh: Mesh, cell: Cell, *, margin_mm: float, max_move_mm: float, t
     thin_mm
         Both sides of walls thinner than this go together.
     """
-    spacing = _SPACING_GAPS * max(bound.gap_mm for bound in cell.bounds)
-    given, start = mesh, excess_of(mesh, cell, spacing_mm=spacing)
-    samples = samples_of(mesh, cell, spacing_mm=spacing, margin_mm=margin_mm)
-    mesh = _refined(mesh, cell, samples, margin_mm)
+    spacing = max(_SPACING_GAPS * cell.gap_mm, _LEAST_SPACING_MM)
+    active = cell.without_idle()
+    given, start = mesh, excess_of(mesh, active, spacing_mm=spacing)
+    samples = samples_of(mesh, active, spacing_mm=spacing, margin_mm=margin_mm)
+    mesh = _refined(mesh, active, samples, margin_mm)
     if mesh is not given:
-        samples = samples_of(mesh, cell, spacing_mm=spacing, margin_mm=margin_mm)
+        samples = samples_of(mesh, active, spacing_mm=spacing, margin_mm=margin_mm)
     topology = surface.topology(mesh.vertices, mesh.faces)
     edges = np.concatenate([topology.inner_edges, topology.boundary_edges]).astype(np.int64)
     spread = _Spread(mesh, edges, cell, thin_mm)
@@ -114,7 +115,7 @@ def displaced(mesh: Mesh, cell: Cell, *, margin_mm: float, max_move_mm: float, t
     farthest = float(lengths.max(initial=0.0))
     if not farthest:
         return Displaced(given, start, 0.0)
-    if excess_of(Mesh(mesh.vertices + ways, mesh.faces), cell, spacing_mm=spacing) > 0.5 * start:
+    if excess_of(Mesh(mesh.vertices + ways, mesh.faces), cell, spacing_mm=spacing, outside_mm=farthest) > 0.5 * start:
         return Displaced(given, start, 0.0)
     best: Displaced | None = None
     for quality in _LEAST_QUALITIES:
@@ -123,7 +124,8 @@ def displaced(mesh: Mesh, cell: Cell, *, margin_mm: float, max_move_mm: float, t
         if not guard.complete:
             break
         settled = guard.settle(mesh, mesh.vertices + ways).mesh
-        excess = excess_of(settled, cell, spacing_mm=spacing, least_mm=-_INSIDE * margin_mm) + _INSIDE * margin_mm
+        least = -_INSIDE * margin_mm
+        excess = excess_of(settled, cell, spacing_mm=spacing, least_mm=least, outside_mm=farthest) - least
         if best is None or excess < best.excess_mm:
             moved = float(np.linalg.norm(settled.vertices - mesh.vertices, axis=1).max())
             best = Displaced(settled, excess, moved)
@@ -134,7 +136,7 @@ def displaced(mesh: Mesh, cell: Cell, *, margin_mm: float, max_move_mm: float, t
 
 def _refined(mesh: Mesh, cell: Cell, samples: Samples, margin_mm: float) -> Mesh:
     """Return a surface with long edges split where it exceeds its room; its shape stays, up to rounding."""
-    length = _SPLIT_GAPS * max(bound.gap_mm for bound in cell.bounds)
+    length = _SPLIT_GAPS * cell.gap_mm
     corners = mesh.vertices[mesh.faces]
     sides = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
     if not (sides > _LONG_EDGES * length).any():

@@ -59,11 +59,20 @@ class SignedDistance:
         distances[far & ~inside] = limit_mm
         return np.where(inside, -distances, distances)
 
-    def located(self, points: Floats) -> Located:
-        """Return the signed distances of points (P, 3) and their gradients."""
-        near = closest(self.tree, points)
-        sign = np.where(self._inside(points), -1.0, 1.0)
-        values = sign * near.distances
+    def located(self, points: Floats, limit_mm: float = np.inf) -> Located:
+        """Return the signed distances of points (P, 3) and their gradients.
+
+        Those outside that are beyond a limit get the limit and no gradient.
+        """
+        near = closest(self.tree, points, limit_mm)
+        inside = self._inside(points)
+        far = np.isinf(near.distances)
+        if (at := np.flatnonzero(far & inside)).size:
+            deep = closest(self.tree, points[at])
+            near.distances[at], near.points[at], near.faces[at] = deep
+        beyond = far & ~inside
+        near.distances[beyond], near.points[beyond] = limit_mm, points[beyond]
+        values = np.where(inside, -near.distances, near.distances)
         on_surface = near.distances < _ON_SURFACE
         ways = (points - near.points) / np.where(on_surface, 1.0, values)[:, None]
         return Located(values, np.where(on_surface[:, None], self._normals[near.faces], ways))

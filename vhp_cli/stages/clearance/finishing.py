@@ -23,8 +23,8 @@ _RINGS = 2
 # Edges at a cut are not shorter than this part of a cell of the grid, nor longer than so many of them.
 _SHORTEST_CELLS, _LONGEST_CELLS = 1.0, 8.0
 _MOST_WORK = 300_000_000
-# What is still bad is worked on with more and more of its surroundings.
-_RESCUE_RINGS, _RESCUE_ROUNDS, _BAD = (2, 4), 20, 0.15
+# What is still bad is worked on again, with more of its surroundings, and in the end with more of the deviation.
+_RESCUES, _RESCUE_ROUNDS, _BAD = ((2, 1.0), (4, 1.0), (2, 1.0), (4, 1.0), (3, 3.0), (5, 8.0)), 20, 0.15
 
 
 def finished(
@@ -73,14 +73,17 @@ def finished(
     if not made.sound and not candidate.sound:
         # Slivers that cross each other once they are rounded.
         healed = heal(made.mesh, HealOptions(only_topology=True)).mesh
-        made = made if healed is None else judge(healed)
+        if healed is not None:
+            made = rescued(
+                judge(healed), deviation_mm=deviation_mm, target_quality=target_quality, min_edge_mm=min_edge_mm
+            )
     return made if made.sound or not candidate.sound else candidate
 
 
 def rescued(candidate: Candidate, *, deviation_mm: float, target_quality: float, min_edge_mm: float) -> Candidate:
     """Return a surface with better triangles around those that are really bad; parameters as of `finished`."""
-    for rings in _RESCUE_RINGS:
-        candidate = _rescued(candidate, rings, deviation_mm, target_quality, min_edge_mm)
+    for rings, share in _RESCUES:
+        candidate = _rescued(candidate, rings, share * deviation_mm, target_quality, min_edge_mm)
     return candidate
 
 

@@ -18,7 +18,8 @@ KEYS: Keys = MappingProxyType(
         "thin": ("thin_mm", Number(may_be_least=True)),
         "nested-share": ("nested_share", Number(0, 1)),
         "conflict-share": ("conflict_share", Number(0, 1)),
-        "rigid-pairs": ("rigid_pairs", Name(("share", "keep"))),
+        "rigid-pairs": ("rigid_pairs", Name(("least", "share", "keep"))),
+        "rigid-gap": ("rigid_gap_mm", Number()),
         "rounds": ("rounds", Number(0, 6, may_be_least=True, whole=True)),
         "target-q": ("target_quality", Number(0, 0.9, may_be_least=True)),
         "min-edge": ("min_edge_mm", Number(may_be_least=True)),
@@ -49,7 +50,11 @@ class ClearanceOptions(StageOptions):
     conflict_share
         From this share of common volume on, one of the two tissues takes it all: the labels contradict each other.
     rigid_pairs
-        Whether two rigid tissues that are too close both give way (``"share"``) or stay as they are (``"keep"``).
+        What becomes of two rigid tissues that are too close: ``"least"``: if they cross or touch, the larger one gives
+        way to `rigid_gap_mm`, else both stay as they are; ``"share"``: both give way to the whole gap; ``"keep"``: both
+        stay.
+    rigid_gap_mm
+        The gap of two rigid tissues that crossed or touched, if that is less than the gap asked for.
     rounds
         How often what is still too close is done anew, each time more finely.
     target_quality
@@ -73,9 +78,10 @@ class ClearanceOptions(StageOptions):
     thin_mm: float = 4.5
     nested_share: float = 0.6
     conflict_share: float = 0.3
-    rigid_pairs: str = "share"
+    rigid_pairs: str = "least"
+    rigid_gap_mm: float = 0.3
     rounds: int = 3
     target_quality: float = 0.3
     min_edge_mm: float = 0.02
-    engine_timeout_s: float = 60.0
+    engine_timeout_s: float = 300.0
     engine_memory_gb: float = 4.0

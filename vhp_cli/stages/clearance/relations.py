@@ -32,7 +32,7 @@ class Pairing:
         ``"apart"``: beside each other; ``"nested"``: `inner` inside the other one; ``"conflict"``: they share so much
         that `winner` takes it all; ``"identical"``: both are the same surface; ``"kept"``: nothing can be done.
     gap_mm
-        The gap to keep.
+        The gap that is asked for.
     close
         Whether they are nearer than that now, or in contact, or not nested as they should be.
     share
@@ -45,6 +45,8 @@ class Pairing:
         Why nothing can be done, or what the conflict is; else empty.
     may_touch
         Whether they may touch and come as near as they like, but not cross.
+    least_mm
+        The gap that is worked for, if that is less; None: the one asked for.
     """
 
     a: str
@@ -57,6 +59,12 @@ class Pairing:
     winner: str = ""
     reason: str = ""
     may_touch: bool = False
+    least_mm: float | None = None
+
+    @property
+    def aim_mm(self) -> float:
+        """The gap that is worked for."""
+        return self.gap_mm if self.least_mm is None else min(self.gap_mm, self.least_mm)
 
     @property
     def outer(self) -> str:
@@ -112,14 +120,38 @@ def pairing(
         return replace(found, kind="nested", close=close, inner=inner, share=_nested_share(found, inner, stiffness))
     if max(shares.values()) >= options.conflict_share:
         return _conflict(found, shares, tissues, stiffness)
-    if stiffness[a].rigid and stiffness[b].rigid and options.rigid_pairs == "keep":
-        return replace(found, kind="kept", reason="both are rigid")
+    if stiffness[a].rigid and stiffness[b].rigid and not touching_allowed and options.rigid_pairs != "share":
+        return _rigid(found, pair, tissues, stiffness, options)
     return replace(found, share=share_of(stiffness[a], stiffness[b], thin_mm=options.thin_mm))
 
 
 def gap_of(a: str, b: str, settings: Settings) -> float:
     """Return the gap that two tissues have to keep: the limit of P005."""
     return max(settings.rule("P005", a, b).limit or 0.0, _LEAST_GAP_MM)
+
+
+def _rigid(
+    found: Pairing,
+    pair: PairRecord,
+    tissues: Mapping[str, TissueRecord],
+    stiffness: Mapping[str, Stiffness],
+    options: ClearanceOptions,
+) -> Pairing:
+    """Let two rigid tissues stay as they are, or the larger one give way to the other by the least that parts them."""
+    a, b = found.a, found.b
+    if options.rigid_pairs == "keep":
+        return replace(found, kind="kept", reason="both are rigid")
+    if pair["relation"] == "disjoint":
+        # Measured when they were parted before: nearer than asked, but not in contact.
+        return replace(found, kind="kept", reason="both are rigid, and neither cross nor touch")
+    if stiffness[a].fixed != stiffness[b].fixed:
+        yields = b if stiffness[a].fixed else a
+    else:
+        yields = max((a, b), key=lambda name: (abs(tissues[name]["volume_mm3"]), name))
+    reason = f"both are rigid: {yields} gives way by the least that parts them, to a gap of {options.rigid_gap_mm:g} mm"
+    least = None if options.rigid_gap_mm >= found.gap_mm else options.rigid_gap_mm
+    reason = reason if least is not None else ""
+    return replace(found, share=1.0 if yields == a else 0.0, least_mm=least, reason=reason)
 
 
 def _overlap_share(pair: PairRecord, tissue: TissueRecord) -> float:

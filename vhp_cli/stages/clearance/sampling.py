@@ -75,16 +75,21 @@ def samples_of(mesh: Mesh, cell: Cell, *, spacing_mm: float, margin_mm: float) -
     return Samples(mesh.faces[faces].astype(np.int64), weights, faces)
 
 
-def excess_of(mesh: Mesh, cell: Cell, *, spacing_mm: float, least_mm: float = 0.0) -> float:
+def excess_of(mesh: Mesh, cell: Cell, *, spacing_mm: float, least_mm: float = 0.0, outside_mm: float = np.inf) -> float:
     """Return by how much a surface exceeds its room in mm; negative if it is inside.
 
     Only parts of triangles are looked at that may exceed it by more than what was found so far, and than `least_mm`:
-    a result below that says no more than that it is not above.
+    a result below that says no more than that it is not above. `outside_mm` is how far the surface may lie outside of
+    the given one.
     """
-    found = float(cell.excess(mesh.vertices[np.unique(mesh.faces)], 1.0).max(initial=-np.inf))
+    at = np.unique(mesh.faces)
+    own = np.zeros(len(at)) if mesh is cell.own.mesh else None
+    found = float(cell.excess(mesh.vertices[at], 1.0, own=own, own_at_most=outside_mm).max(initial=-np.inf))
+    # Towards neighbours that keep away from the given surface themselves, vertices say enough.
+    cell = cell.without_idle()
     faces, parts = np.arange(len(mesh.faces)), np.broadcast_to(np.eye(3), (len(mesh.faces), 3, 3))
     for _ in range(_DEEPEST):
-        excess, radius = _looked_at(mesh, cell, faces, parts, 0.0)
+        excess, radius = _looked_at(mesh, cell, faces, parts, 0.0, outside_mm)
         found = max(found, float(excess.max(initial=-np.inf)))
         more = (excess + radius > max(found, least_mm)) & (radius > spacing_mm)
         if not more.any() or 4 * int(more.sum()) > _MOST:
@@ -93,13 +98,17 @@ def excess_of(mesh: Mesh, cell: Cell, *, spacing_mm: float, least_mm: float = 0.
     return found
 
 
-def _looked_at(mesh: Mesh, cell: Cell, faces: Ints, parts: Floats, margin_mm: float) -> tuple[Floats, Floats]:
+def _looked_at(
+    mesh: Mesh, cell: Cell, faces: Ints, parts: Floats, margin_mm: float, outside_mm: float = np.inf
+) -> tuple[Floats, Floats]:
     """Return the excess at the centres of parts of triangles, and how far their corners are from there (P,)."""
     corners = parts @ mesh.vertices[mesh.faces[faces]]
     centres = corners.mean(axis=1)
     away = corners - centres[:, None]
     radius = np.sqrt((away**2).sum(axis=2).max(axis=1, initial=0.0))
-    return cell.excess(centres, margin_mm + float(radius.max(initial=0.0))), radius
+    own = np.zeros(len(centres)) if mesh is cell.own.mesh else None
+    band = margin_mm + float(radius.max(initial=0.0))
+    return cell.excess(centres, band, own=own, own_at_most=outside_mm), radius
 
 
 def _quartered(faces: Ints, parts: Floats) -> tuple[Ints, Floats]:

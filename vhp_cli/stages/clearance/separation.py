@@ -25,20 +25,24 @@ from vhp_cli.stages.outcome import Outcome
 # The step of an action that says that there is no room for the gap.
 SQUEEZED = "squeezed"
 # A margin on top of the room's border: shares of the gap, and a length for the rounding of coordinates.
-_MOVE_MARGIN, _CUT_MARGIN, _FINISH_MARGIN, _ROUNDING_MM = 0.03, 0.06, 0.03, 2e-4
+_MOVE_MARGIN, _CUT_MARGIN, _FINISH_MARGIN, _ROUNDING_MM = 0.03, 0.13, 0.03, 2e-4
+# Towards those to which it does not give way a tissue may move by so many margins.
+_HELD = 1.05
 # Deeper than so many times the way that vertices may go, moving is not tried; those of thin tissues may go so many
 # times as far.
 _TOO_DEEP, _THIN_FARTHER = 1.2, 2.0
 # A thin tissue that could be moved only part of the way is cut from there if this share of the excess is left at most.
 _HELPFUL = 0.6
 _GRID_GAPS, _LEAST_GRID_MM, _FINER = 0.8, 0.05, 1.5
-# Points of the surface stand for parts of this size, in gaps, where it may exceed its room.
-_SPACING_GAPS = 0.25
+# Points of the surface stand for parts of this size, in gaps, or in mm if that is more, where it may exceed its room.
+_SPACING_GAPS, _LEAST_SPACING_MM = 0.35, 0.2
 # Points at which a cut is looked at afterwards, and how much more than what it lacks it gets.
-_CHECK_SPACING, _MORE = 0.12, 1.25
-# If the room at the full gap takes the tissue apart, or more than this share of its volume, smaller gaps are tried.
-_SCALES = (1.0, 0.5, 0.15)
-_MOST_LOST = 0.3
+_CHECK_SPACING, _MORE = 0.3, 1.25
+# If the room at the full gap takes the tissue apart, or makes it thinner (4 V / A, twice the thickness of a plate) than
+# so many gaps, smaller gaps are tried. That does not depend on how thick it was before: what was squeezed once is not
+# squeezed more by another run.
+_SCALES = (1.0, 0.5, 0.3, 0.15)
+_LEAST_THICKNESS = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +61,9 @@ class Attempt:
         return float(2.5**self.level)
 
 
-def separate(mesh: Mesh, cell: Cell, options: ClearanceOptions, attempt: Attempt, *, may_shrink: bool) -> Outcome:
+def separate(
+    mesh: Mesh, cell: Cell, options: ClearanceOptions, attempt: Attempt, *, may_shrink: bool, shrinks_only: bool = False
+) -> Outcome:
     """Bring a tissue into its room.
 
     Parameters
@@ -72,25 +78,32 @@ def separate(mesh: Mesh, cell: Cell, options: ClearanceOptions, attempt: Attempt
         How finely.
     may_shrink
         Whether it is meant to lose much of its volume, to another tissue that has it too.
+    shrinks_only
+        Whether it gives way where it is too close alone: its other side does not follow.
 
     Returns
     -------
     Outcome
         ``unchanged`` if it is within its room; ``changed``; ``refused`` if it can't be brought there.
     """
-    gap = max((bound.gap_mm for bound in cell.bounds), default=0.0)
+    gap = cell.gap_mm
+    move_margin = attempt.factor * _MOVE_MARGIN * gap + _ROUNDING_MM
+    cell = cell.held(_HELD * move_margin)
     if not (mesh.vertices.astype(np.float32) == mesh.vertices).all():
         mesh = as_written(mesh)
-    start = excess_of(mesh, cell, spacing_mm=_SPACING_GAPS * gap)
+    if not gap:
+        return Outcome(None, "unchanged")
+    start = excess_of(mesh, cell.without_idle(), spacing_mm=max(_SPACING_GAPS * gap, _LEAST_SPACING_MM))
     if start <= 0:
         return Outcome(None, "unchanged")
     actions: list[Action] = []
     current = mesh
     farthest = (_THIN_FARTHER if _is_thin(cell, options) else 1.0) * options.max_move_mm
-    too_deep = start > _TOO_DEEP * farthest
+    # Moving by so much takes off so much at most.
+    too_deep = start > (_TOO_DEEP if _is_thin(cell, options) else 1.0) * farthest
     if options.method == "move" or (options.method == "auto" and not may_shrink and not too_deep):
-        margin = attempt.factor * _MOVE_MARGIN * gap + _ROUNDING_MM
-        moved = displaced(mesh, cell, margin_mm=margin, max_move_mm=farthest, thin_mm=options.thin_mm)
+        thin = 0.0 if shrinks_only else options.thin_mm
+        moved = displaced(mesh, cell, margin_mm=move_margin, max_move_mm=farthest, thin_mm=thin)
         done = moved.excess_mm <= 0 or options.method == "move"
         helps = moved.moved_mm > 0 and moved.excess_mm < (start if done else _HELPFUL * start)
         if helps and (done or _is_thin(cell, options)) and _is_no_worse(mesh, moved.mesh):
@@ -131,8 +144,10 @@ def _cut(
     best: _Made | None = None
     best_rank = (False, False)
     failure = ""
-    given = judge(mesh)
+    given, thin = judge(mesh), _is_thin(cell, options)
     for scale in _SCALES:
+        if scale < 1 and _was_squeezed(mesh, cell, scale):
+            return Outcome(None, "refused", f"{SQUEEZED} between its neighbours: the whole gap would take it apart")
         try:
             made = _cut_for(current, cell.scaled(scale), scale, options, attempt)
         except (CallFailed, TooFineError) as error:
@@ -141,7 +156,7 @@ def _cut(
         if not made.candidate.sound and given.sound:
             failure = failure or ", ".join(made.candidate.flaws)
             continue
-        keeps_shape = may_shrink or _keeps_shape(given, made.candidate, thin=_is_thin(cell, options))
+        keeps_shape = may_shrink or _keeps_shape(given, made.candidate, _LEAST_THICKNESS * cell.gap_mm, thin=thin)
         # Edges that are too short would have the whole result thrown away.
         rank = (made.candidate.min_edge >= min(given.min_edge, 0.5 * options.min_edge_mm), keeps_shape)
         if best is None or rank > best_rank:
@@ -171,13 +186,15 @@ def _cut_for(current: Mesh, cell: Cell, scale: float, options: ClearanceOptions,
     CallFailed, TooFineError
         As of `carved`.
     """
-    gap = max(bound.gap_mm for bound in cell.bounds) / scale
+    gap = cell.gap_mm / scale
     grid, finish = attempt.grid_mm(options, gap), _FINISH_MARGIN * gap
     margin = _CUT_MARGIN * grid + (1 + attempt.level) * finish + _ROUNDING_MM
+    grows = any(bound.kind == "core" for bound in cell.bounds)
+    outside = np.inf if grows else _THIN_FARTHER * options.max_move_mm + finish + grid
     for last in (False, True):
         made, crumbs = carved(
             current,
-            cell,
+            cell.without_idle(),
             grid_mm=grid,
             margin_mm=margin,
             timeout_s=options.engine_timeout_s,
@@ -193,7 +210,8 @@ def _cut_for(current: Mesh, cell: Cell, scale: float, options: ClearanceOptions,
         )
         if last or not len(found.mesh.faces):
             break
-        excess = excess_of(found.mesh, cell, spacing_mm=_CHECK_SPACING * gap)
+        spacing = max(_CHECK_SPACING * gap, _LEAST_SPACING_MM)
+        excess = excess_of(found.mesh, cell, spacing_mm=spacing, outside_mm=outside)
         if excess <= 0:
             break
         margin += min(_MORE * excess, 0.5 * grid) + _ROUNDING_MM
@@ -201,20 +219,31 @@ def _cut_for(current: Mesh, cell: Cell, scale: float, options: ClearanceOptions,
 
 
 def _changed(mesh: Mesh, made: Mesh, cell: Cell, actions: list[Action]) -> Outcome:
-    gap = max(bound.gap_mm for bound in cell.bounds)
+    gap = cell.gap_mm
     return Outcome(made, "changed", "", actions, deviation(mesh, made, lost_limit_mm=gap))
 
 
-def _keeps_shape(given: Candidate, found: Candidate, *, thin: bool) -> bool:
-    """Tell whether a tissue has most of its volume, and a thin one as many parts and handles as before."""
+def _was_squeezed(mesh: Mesh, cell: Cell, scale: float) -> bool:
+    """Tell whether a tissue has this part of the gap already, but for what cuts are off."""
+    most = _CUT_MARGIN * scale * cell.gap_mm
+    return excess_of(mesh, cell.without_idle().scaled(scale), spacing_mm=_LEAST_SPACING_MM, least_mm=most) <= most
+
+
+def _keeps_shape(given: Candidate, found: Candidate, least_mm: float, *, thin: bool) -> bool:
+    """Tell whether a tissue has no more parts than before, and a thin one no more handles and still some thickness."""
     before, after = given.measures, found.measures
-    alike = (before["components"], before["euler"]) == (after["components"], after["euler"])
-    return (alike or not thin) and abs(after["volume_mm3"]) >= (1 - _MOST_LOST) * abs(before["volume_mm3"])
+    if after["components"] > before["components"]:
+        return False
+    if not thin:
+        return True
+    # The Euler number of so many spheres, less two for each handle.
+    handles = [2 * one["components"] - one["euler"] for one in (before, after)]
+    return handles[1] <= handles[0] and thickness_of(after["volume_mm3"], after["area_mm2"]) >= least_mm
 
 
 def _well_shaped(mesh: Mesh, moved: Mesh, cell: Cell, options: ClearanceOptions) -> Mesh:
     """Return a moved surface with its worst triangles reshaped, if that keeps it in its room."""
-    gap = max(bound.gap_mm for bound in cell.bounds)
+    gap = cell.gap_mm
     candidate = judge(moved)
     if candidate.min_quality >= min(options.target_quality, judge(mesh).min_quality):
         return moved
@@ -224,7 +253,8 @@ def _well_shaped(mesh: Mesh, moved: Mesh, cell: Cell, options: ClearanceOptions)
         target_quality=options.target_quality,
         min_edge_mm=options.min_edge_mm,
     )
-    if found is candidate or excess_of(found.mesh, cell, spacing_mm=_SPACING_GAPS * gap) > 0:
+    spacing = max(_SPACING_GAPS * gap, _LEAST_SPACING_MM)
+    if found is candidate or excess_of(found.mesh, cell, spacing_mm=spacing) > 0:
         return moved
     return found.mesh
 
