@@ -83,9 +83,9 @@ def parse_obj(path: Path, data: bytes, *, weld_tolerance: float = 0.0) -> Readin
     )
 
 
-def obj_bytes(mesh: Mesh) -> bytes:
+def obj_bytes(mesh: Mesh, unit: str = "millimetres") -> bytes:
     """Return the mesh as an OBJ file, with the shortest decimal numbers that give the coordinates back exactly."""
-    lines = ["# vhp, millimetres"]
+    lines = [f"# vhp, {unit}"]
     lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces.astype("i8") + 1).tolist()]
     return ("\n".join(lines) + "\n").encode("ascii")

@@ -390,13 +390,13 @@ def _as_indices(values: NDArray[Any]) -> NDArray[np.int64]:
     return np.where(valid, values, -1).astype(np.int64)
 
 
-def ply_bytes(mesh: Mesh) -> bytes:
+def ply_bytes(mesh: Mesh, unit: str = "millimetres") -> bytes:
     """Return the mesh as a binary little-endian PLY file, with float coordinates if these hold them exactly."""
     with np.errstate(over="ignore"):
         single = mesh.vertices.astype("<f4")
     exact = bool((single == mesh.vertices).all())
     header = (
-        "ply\nformat binary_little_endian 1.0\ncomment vhp, millimetres\n"
+        f"ply\nformat binary_little_endian 1.0\ncomment vhp, {unit}\n"
         f"element vertex {len(mesh.vertices)}\n"
         + "".join(f"property {'float' if exact else 'double'} {axis}\n" for axis in "xyz")
         + f"element face {len(mesh.faces)}\nproperty list uchar int vertex_indices\nend_header\n"

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vhp_cli.errors import UnreadableFileError, VhpError
+from vhp_cli.formats.normals import unit_normals
 from vhp_cli.formats.reading import (
     BYTE_ORDER_MARK,
     FileIssue,
@@ -27,7 +28,6 @@ from vhp_cli.formats.reading import (
 from vhp_cli.kernels.reading import RECORD_SIZE, parse_stl_text, weld, weld_facets, weld_stl_records
 from vhp_cli.mesh import Mesh
 
-HEADER = b"vhp binary STL, millimetres".ljust(80)
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 _SAMPLE = 1024  # bytes that tell text from binary
@@ -253,7 +253,7 @@ def _reading(
     )
 
 
-def stl_bytes(mesh: Mesh) -> bytes:
+def stl_bytes(mesh: Mesh, unit: str = "millimetres") -> bytes:
     """Return the mesh as a binary STL file: float32 coordinates, unit normals (0 for a face without area).
 
     Raises
@@ -267,13 +267,6 @@ def stl_bytes(mesh: Mesh) -> bytes:
         vertex = int(np.flatnonzero(~np.isfinite(single).all(axis=1))[0])
         raise VhpError(f"vertex {vertex} can't be written as STL: {mesh.vertices[vertex].tolist()} is no float32")
     corners = single[mesh.faces]
-    exact = corners.astype(np.float64)
-    normals = np.cross(exact[:, 1] - exact[:, 0], exact[:, 2] - exact[:, 0])
-    # Scaled first: the squares of very small or large components would leave the range of a double.
-    largest = np.abs(normals).max(axis=1, initial=0.0, keepdims=True)
-    np.divide(normals, largest, out=normals, where=largest > 0)
-    lengths = np.sqrt((normals * normals).sum(axis=1, keepdims=True))
-    np.divide(normals, lengths, out=normals, where=lengths > 0)
     records = np.zeros(len(corners), dtype=RECORD)
-    records["normal"], records["corners"] = normals, corners
-    return HEADER + len(corners).to_bytes(4, "little") + records.tobytes()
+    records["normal"], records["corners"] = unit_normals(corners.astype(np.float64)), corners
+    return f"vhp binary STL, {unit}".encode("ascii").ljust(80) + len(corners).to_bytes(4, "little") + records.tobytes()

@@ -8,6 +8,7 @@ there; whole ones are stored in 4 bytes.
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -32,16 +33,39 @@ def write(file: BinaryIO, mesh: VolumeMesh, regions: tuple[Region, ...]) -> None
     FormatLimit
         If an array takes more than 2 GiB.
     """
+    write_head(file, "millimetres")
+    write_numbers(file, "P", mesh.points.astype("<f8"))
+    write_numbers(file, "t", mesh.tetrahedra.astype("<i4") + np.int32(1))
+    write_numbers(file, "label", numbers_of(mesh).astype("<i4")[:, None])
+    write_cells(file, "names", [region.written for region in regions])
+
+
+def write_head(file: BinaryIO, unit: str) -> None:
+    """Write what a file begins with; `unit` is that of the coordinates, in words."""
     # No date in the text, so that the same mesh gives the same bytes; then the version and the byte order.
-    file.write(b"MATLAB 5.0 MAT-file, vhp, millimetres".ljust(116) + bytes(8) + struct.pack("<H2s", 0x0100, b"IM"))
-    _write_numbers(file, "P", mesh.points.astype("<f8"))
-    _write_numbers(file, "t", mesh.tetrahedra.astype("<i4") + np.int32(1))
-    _write_numbers(file, "label", numbers_of(mesh).astype("<i4")[:, None])
-    cells = b"".join(_text(region.written) for region in regions)
-    file.write(_tagged(_MATRIX, _head(_CELL_CLASS, (len(regions), 1), "names") + cells))
+    text = f"MATLAB 5.0 MAT-file, vhp, {unit}".encode("ascii")
+    file.write(text.ljust(116) + bytes(8) + struct.pack("<H2s", 0x0100, b"IM"))
 
 
-def _write_numbers(file: BinaryIO, name: str, values: NDArray[Any]) -> None:
+def write_cells(file: BinaryIO, name: str, texts: Sequence[str]) -> None:
+    """Write a column of texts as a cell array."""
+    cells = b"".join(_text(text) for text in texts)
+    file.write(_tagged(_MATRIX, _head(_CELL_CLASS, (len(texts), 1), name) + cells))
+
+
+def write_text(file: BinaryIO, name: str, text: str) -> None:
+    """Write one text as a row of characters."""
+    file.write(_text(text, name))
+
+
+def write_numbers(file: BinaryIO, name: str, values: NDArray[Any]) -> None:
+    """Write a matrix of ``<f8`` or ``<i4`` numbers, (N, K).
+
+    Raises
+    ------
+    FormatLimit
+        If it takes more than 2 GiB.
+    """
     head = _head(_DOUBLE_CLASS, values.shape, name)
     length = len(head) + 8 + values.nbytes + -values.nbytes % 8
     if length > _LARGEST:
@@ -54,11 +78,11 @@ def _write_numbers(file: BinaryIO, name: str, values: NDArray[Any]) -> None:
     file.write(bytes(-values.nbytes % 8))
 
 
-def _text(text: str) -> bytes:
+def _text(text: str, name: str = "") -> bytes:
     letters = text.encode("utf-16-le")
     # Readers take plain numbers of 2 bytes best, but not for letters beyond ASCII.
     kind = _UINT16 if text.isascii() else _UTF16
-    return _tagged(_MATRIX, _head(_CHAR_CLASS, (1, len(letters) // 2), "") + _tagged(kind, letters))
+    return _tagged(_MATRIX, _head(_CHAR_CLASS, (1, len(letters) // 2), name) + _tagged(kind, letters))
 
 
 def _head(array_class: int, shape: tuple[int, ...], name: str) -> bytes:

@@ -34,17 +34,18 @@ def write(file: BinaryIO, mesh: VolumeMesh, regions: tuple[Region, ...]) -> None
             file.write(f"{region.number}</DataArray>\n".encode())
     file.write(f'</FieldData>\n<Piece NumberOfPoints="{len(mesh.points)}" NumberOfCells="{count}">\n'.encode())
     file.write(b"<Points>\n")
-    _write_array(file, "Points", mesh.points.astype("<f8"), components=3)
+    write_array(file, "Points", mesh.points.astype("<f8"), components=3)
     file.write(b"</Points>\n<Cells>\n")
-    _write_array(file, "connectivity", mesh.tetrahedra.astype("<i4"))
-    _write_array(file, "offsets", np.arange(4, 4 * count + 1, 4, dtype="<i8"))
-    _write_array(file, "types", np.full(count, _TETRAHEDRON, dtype="u1"))
+    write_array(file, "connectivity", mesh.tetrahedra.astype("<i4"))
+    write_array(file, "offsets", np.arange(4, 4 * count + 1, 4, dtype="<i8"))
+    write_array(file, "types", np.full(count, _TETRAHEDRON, dtype="u1"))
     file.write(b'</Cells>\n<CellData Scalars="label">\n')
-    _write_array(file, "label", numbers_of(mesh).astype("<i4"))
+    write_array(file, "label", numbers_of(mesh).astype("<i4"))
     file.write(b"</CellData>\n</Piece>\n</UnstructuredGrid>\n</VTKFile>\n")
 
 
-def _write_array(file: BinaryIO, name: str, values: NDArray[Any], components: int = 0) -> None:
+def write_array(file: BinaryIO, name: str, values: NDArray[Any], components: int = 0) -> None:
+    """Write a ``DataArray``; the file that it is in names zlib and headers of 8 bytes, as `write` does."""
     shape = f' NumberOfComponents="{components}"' if components else ""
     kind = _TYPES[values.dtype.str[1:]]
     file.write(f'<DataArray type="{kind}" Name="{name}"{shape} format="binary">\n'.encode())
