@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from vhp_cli.commands.options import REPORT_SUFFIXES
+from vhp_cli.commands.options import PAGES, REPORT_SUFFIXES
 from vhp_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -41,14 +41,26 @@ def report_base(model: tuple[Path, ...]) -> str:
 
 
 def write_reports(report: Report, targets: list[Target], base: str) -> None:
-    """Write the report to every target that is a file."""
+    """Write the report to every target that is a file, and to the pages of `--report-html`; pages come last."""
     from vhp_cli.formats.atomic import write_atomically
-    from vhp_cli.report import render
 
-    for path, form in targets:
+    context = click.get_current_context(silent=True)
+    pages = [(page, "html") for page in (context.meta.get(PAGES, ()) if context else ())]
+    for path, form in sorted((*targets, *pages), key=lambda target: target[1] == "html"):
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(path, render(report, form, base=base).encode())
+            write_atomically(path, rendered(report, form, base).encode())
+
+
+def rendered(report: Report, form: str, base: str) -> str:
+    """Return the report in a form; a page shows the surfaces in the directory `base`, or in the model."""
+    from vhp_cli.report import render
+
+    if form != "html":
+        return render(report, form, base=base)
+    from vhp_cli.pipeline.surfaces import surfaces_of
+
+    return render(report, form, surfaces=surfaces_of(report, base))
 
 
 def show_report(
@@ -56,9 +68,7 @@ def show_report(
 ) -> None:
     """Show the report on stdout."""
     if form != "table":
-        from vhp_cli.report import render
-
-        click.echo(render(report, form, base=base), nl=False)
+        click.echo(rendered(report, form, base), nl=False)
     elif not quiet:
         from rich.console import Console
 

@@ -16,8 +16,11 @@ REPORT_SUFFIXES = {
     ".xml": "junit",
     ".sarif": "sarif",
     ".txt": "table",
+    ".html": "html",
 }
-FORMATS = ("table", "json", "jsonl", "csv", "markdown", "junit", "sarif", "github")
+FORMATS = ("table", "json", "jsonl", "csv", "markdown", "junit", "sarif", "github", "html")
+# Where the context of a command keeps what `--report-html` names.
+PAGES = "vhp.pages"
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -30,6 +33,10 @@ def comma_list(ctx: click.Context, parameter: click.Parameter, value: str | None
     if not all(parts):
         raise click.BadParameter("expected rules separated by commas")
     return parts
+
+
+def _keep_pages(ctx: click.Context, parameter: click.Parameter, value: tuple[Path, ...]) -> None:
+    ctx.meta[PAGES] = value
 
 
 def _combined(*decorators: Decorator) -> Decorator:
@@ -82,6 +89,16 @@ judging_options = _combined(
     ),
 )
 
+report_html_option = click.option(
+    "--report-html",
+    multiple=True,
+    metavar="FILE",
+    type=click.Path(path_type=Path, dir_okay=False),
+    expose_value=False,
+    callback=_keep_pages,
+    help="Write the report as one page for a browser, with pictures and the model in three dimensions.",
+)
+
 report_options = _combined(
     click.option(
         "--report",
@@ -89,8 +106,9 @@ report_options = _combined(
         multiple=True,
         metavar="FILE|-",
         help="Write the report to a file, in the form that its suffix names (.json .jsonl .csv .md .xml=JUnit "
-        ".sarif .txt); '-': JSON on stdout instead of the table. May be given several times.",
+        ".sarif .txt .html); '-': JSON on stdout instead of the table. May be given several times.",
     ),
+    report_html_option,
     click.option(
         "--format",
         "form",

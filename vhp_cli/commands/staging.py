@@ -23,7 +23,7 @@ from vhp_cli.commands.common import (
 
 if TYPE_CHECKING:
     from vhp_cli.config import Settings
-    from vhp_cli.pipeline.stage import Stage
+    from vhp_cli.pipeline.stage import Plan, Stage
     from vhp_cli.pipeline.staged import Staged
 
 
@@ -73,11 +73,18 @@ class Shared:
 
 
 def run_staged(
-    ctx: click.Context, stage: Stage, settings: Settings, request: Shared, *, run: Callable[..., Staged] | None = None
+    ctx: click.Context,
+    stage: Stage,
+    settings: Settings,
+    request: Shared,
+    *,
+    run: Callable[..., Staged] | None = None,
+    plan: Callable[..., Plan] | None = None,
 ) -> None:
     """Run a stage over a model, report on the result, and end with its exit code.
 
-    `run` takes the place of `vhp_cli.pipeline.staged.run_and_check`.
+    `run` takes the place of `vhp_cli.pipeline.staged.run_and_check`, `plan` that of
+    `vhp_cli.pipeline.stage.plan_stage`.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -92,9 +99,9 @@ def run_staged(
         stage.options(tissue.name)
     talk = ctx.obj or {}
     if request.dry_run:
-        plan = plan_stage(found, output, stage, settings, paths=model, overwrite=request.overwrite)
-        for tissue, file in zip(found.tissues, plan.files, strict=True):
-            todo = "keep" if file in plan.done else stage.command
+        planned = (plan or plan_stage)(found, output, stage, settings, paths=model, overwrite=request.overwrite)
+        for tissue, file in zip(found.tissues, planned.files, strict=True):
+            todo = "keep" if file in planned.done else stage.command
             click.echo(f"{tissue.name}\t{todo}\t{tissue.path}\t{output / file}")
         return
     if not talk.get("quiet"):

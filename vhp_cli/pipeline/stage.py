@@ -66,10 +66,17 @@ class Stage:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a worker may take for one tissue."""
+    """What a worker may take for one tissue; files with more than so many bytes per second may take longer."""
 
     timeout_s: float = 120.0
     memory_gb: float = 4.0
+    bytes_per_second: float | None = None
+
+    def timeout_for(self, size: int) -> float:
+        """Return the seconds that a file of this size in bytes may take."""
+        if self.bytes_per_second is None:
+            return self.timeout_s
+        return max(self.timeout_s, size / self.bytes_per_second)
 
 
 @dataclass(frozen=True, slots=True)

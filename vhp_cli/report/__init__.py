@@ -1,4 +1,4 @@
-"""Writers of the report: for people (table, Markdown), for scripts (JSON, CSV) and for CI (JUnit, SARIF, GitHub)."""
+"""Writers of the report: for people (table, Markdown, HTML), scripts (JSON, CSV) and CI (JUnit, SARIF, GitHub)."""
 
 from __future__ import annotations
 
@@ -10,11 +10,22 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from vhp_cli.measures import Report
+    from vhp_cli.report.html import Surfaces
 
 FORMATS: tuple[str, ...] = ("table", "json", "jsonl", "csv", "markdown", "junit", "sarif", "github")
+# The form of a page, which is more than text: it shows surfaces.
+PAGE = "html"
 
 
-def render(report: Report, form: str, *, base: str = "", width: int = 100, verbose: bool = False) -> str:
+def render(
+    report: Report,
+    form: str,
+    *,
+    base: str = "",
+    width: int = 100,
+    verbose: bool = False,
+    surfaces: Surfaces | None = None,
+) -> str:
     """Return a report as text; nothing in it depends on the terminal.
 
     Parameters
@@ -22,12 +33,14 @@ def render(report: Report, form: str, *, base: str = "", width: int = 100, verbo
     report
         The report.
     form
-        One of `FORMATS`.
+        One of `FORMATS`, or `PAGE`.
     base
         Directory of the tissue files as seen from the root of the repository, ending in ``/``: makes the paths of
         ``sarif`` and ``github`` relative to it.
     width, verbose
         For ``table``: the number of columns, and whether everything is listed.
+    surfaces
+        For `PAGE`: the surfaces of the tissues.
 
     Returns
     -------
@@ -72,7 +85,11 @@ def render(report: Report, form: str, *, base: str = "", width: int = 100, verbo
         from vhp_cli.report.as_github import render_github
 
         return render_github(report, base=base)
-    raise UsageError(f"no such report format {form!r}", hint=f"use one of {', '.join(FORMATS)}")
+    if form == PAGE:
+        from vhp_cli.report.html import html_page
+
+        return html_page(report, surfaces)
+    raise UsageError(f"no such report format {form!r}", hint=f"use one of {', '.join((*FORMATS, PAGE))}")
 
 
 def print_table(report: Report, console: Console, *, verbose: bool = False, nesting: bool = False) -> None:

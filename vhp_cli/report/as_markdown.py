@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from vhp_cli.measures import Finding, Report
+from vhp_cli.measures import Finding, PipelineSection, Report
 from vhp_cli.report import text
 from vhp_cli.report.verdict import (
     Verdict,
@@ -15,6 +15,7 @@ from vhp_cli.report.verdict import (
     is_staged,
     left_alone,
     rule_name,
+    stage_tissues,
     stage_words,
     tissue_verdicts,
 )
@@ -81,10 +82,31 @@ def _rule_section(code: str, findings: list[Finding]) -> list[str]:
     return [*lines, "", f"Fix: {escape(hint)}", ""] if hint else [*lines, ""]
 
 
+def pipeline_lines(section: PipelineSection) -> list[str]:
+    """Return the table of the stages of a pipeline, and the tissues that they left alone."""
+    lines = [
+        table_row(["Stage", "Outcome", "Tissues", "Triangles", "Errors"]),
+        "| :--- | :--- | :--- | ---: | ---: |",
+    ]
+    for stage in section["stages"]:
+        summary = stage["summary"]
+        outcome = stage["outcome"] if stage["outcome"] == "passed" else f"**{stage['outcome']}**"
+        triangles, errors = (f"{summary[key]:,}" if summary else "-" for key in ("triangles", "errors"))
+        lines.append(table_row([escape(stage["directory"]), outcome, stage_tissues(stage), triangles, errors]))
+    left = [
+        f"- {escape(stage['directory'])}: {escape(tissue['name'])} {tissue['status']}: {escape(tissue['reason'])}"
+        for stage in section["stages"]
+        for tissue in stage["left_alone"]
+    ]
+    return [*lines, "", *left] if left else lines
+
+
 def render_markdown(report: Report) -> str:
     """Return the verdict, the table of tissues (thesis Table 4.3) and the findings by rule."""
     verdict = "passed" if report["summary"]["passed"] else "FAILED"
     lines = [f"## vhp {escape(report['command'])}: {verdict}", "", escape(closing_line(report)), ""]
+    if "pipeline" in report:
+        lines += [*pipeline_lines(report["pipeline"]), ""]
     if report["tissues"]:
         lines += [*_tissue_table(report, tissue_verdicts(report)), ""]
     if tissues := left_alone(report):

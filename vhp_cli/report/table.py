@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from vhp_cli.measures import Finding, Level, PairRecord, Report
 from vhp_cli.report import text
+from vhp_cli.report.pipeline_table import print_pipeline
 from vhp_cli.report.tetmesh_table import print_tetmesh, tetmesh_lines
 from vhp_cli.report.verdict import (
     Verdict,
@@ -49,6 +50,8 @@ def print_table(report: Report, console: Console, *, verbose: bool = False, nest
         The tree of tissues within tissues.
     """
     verdicts = tissue_verdicts(report)
+    if "pipeline" in report:
+        print_pipeline(report, console)
     if report["tissues"]:
         _print_tissues(report, verdicts, console, verbose=verbose)
         _print_stage(report, console, verbose=verbose)

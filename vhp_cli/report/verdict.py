@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from vhp_cli.measures import Finding, Level, Report, TissueRecord
+from vhp_cli.measures import Finding, Level, PipelineStage, Report, TissueRecord
 from vhp_cli.report.text import number, plural, visible
 from vhp_cli.rules import RULES
 
@@ -118,6 +118,17 @@ def stage_words(tissue: TissueRecord) -> str:
     if detail := "; ".join(filter(None, said)):
         words += f": {visible(detail)}"
     return words
+
+
+def stage_tissues(stage: PipelineStage) -> str:
+    """Return how many tissues a stage of a pipeline worked on, by status if it has any: ``3 changed, 1 refused``."""
+    summary = stage["summary"]
+    if not summary:
+        return "-"
+    status = summary.get("status")
+    return (
+        ", ".join(f"{count:,} {name}" for name, count in status.items() if count) if status else str(summary["tissues"])
+    )
 
 
 def left_alone(report: Report) -> list[TissueRecord]:

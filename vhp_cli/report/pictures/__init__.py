@@ -1,0 +1,1 @@
+"""Pictures of surfaces, drawn without a screen: the same bytes on every machine."""
