@@ -14,7 +14,7 @@ SANITIZED := $(CURDIR)/build/sanitize/kernels.so
 SANITIZE_TESTS ?= tests/kernels
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast kernels lint types sanitize coverage bench wheel system-libraries clean
+.PHONY: help demo test test-fast kernels lint types sanitize coverage bench docs wheel system-libraries clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
@@ -81,6 +81,9 @@ coverage: $(VENV)/.dev ## line and branch coverage of the tests
 bench: $(VENV)/.package ## time vhp check beside other libraries; BENCH_ARGS='--rounds 3'
 	$(PIP) install -e '.[bench]'
 	$(BIN)/python benchmarks/check.py $(BENCH_ARGS)
+
+docs: $(VENV)/.package ## the pages of docs/ that come from the code: rules and commands
+	$(BIN)/python tools/make_docs.py
 
 wheel: $(BIN)/python ## source archive and wheel in dist/
 	$(PIP) install build

@@ -38,13 +38,17 @@ COMMANDS = {
     "breathe": Entry("vhp_cli.commands.breathe:breathe", "Make a model breathe, with proof for every frame."),
     "check": Entry("vhp_cli.commands.check:check", "Check a model; exit 1 if it is not fit for a solver."),
     "decimate": Entry("vhp_cli.commands.decimate:decimate", "Reduce the triangles of a model, or refine the worst."),
+    "diff": Entry("vhp_cli.commands.diff:diff", "Compare two models or reports; exit 1 if the second is worse."),
+    "export": Entry("vhp_cli.commands.export:export", "Write a model for HFSS, CST, MATLAB, COMSOL or a printer."),
     "heal": Entry("vhp_cli.commands.heal:heal", "Close, orient and repair the tissues of a model."),
     "phantom": Entry("vhp_cli.commands.phantom:phantom", "Write a synthetic model, sound or with known defects."),
     "rules": Entry("vhp_cli.commands.rules:rules", "List the rules, or explain one."),
+    "run": Entry("vhp_cli.commands.run:run", "Run a pipeline of commands, or a preset, and resume it."),
     "separate": Entry("vhp_cli.commands.separate:separate", "Take crossing tissues apart, with a gap between them."),
     "shells": Entry("vhp_cli.commands.shells:shells", "Make skin, fat and average body from one body surface."),
     "smooth": Entry("vhp_cli.commands.smooth:smooth", "Improve the triangles of a model and keep its shape."),
     "tetmesh": Entry("vhp_cli.commands.tetmesh:tetmesh", "Fill a model with labelled tetrahedra."),
+    "view": Entry("vhp_cli.commands.view:view", "Show a model and its findings in a browser."),
 }
 
 

@@ -20,7 +20,7 @@ from vhp_cli.tissues import guess_type, type_names
 UNITS = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "in": 25.4, "m": 1000.0}
 LEVELS: tuple[str, ...] = get_args(Level)
 # Stages with a section of their own. The values are those of the stage, which checks them when it runs.
-STAGES = ("heal", "smooth", "decimate", "breathe", "tetmesh", "clearance")
+STAGES = ("heal", "smooth", "decimate", "breathe", "tetmesh", "clearance", "export")
 
 # What a section says, by stage and key.
 StageTables = Mapping[str, Mapping[str, object]]
@@ -84,6 +84,8 @@ class Settings:
     gap_search_mm: float | None = None  # None: as far as the gap rule looks
     recursive: bool = False
     stages: StageTables = field(default_factory=dict)
+    # By shell pattern on the names of tissues; `vhp export` checks the values.
+    materials: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
     def rule(self, code: str, *names: str) -> RuleSetting:
         """Return the setting of a rule for a tissue or a pair of tissues.
@@ -159,6 +161,7 @@ class Settings:
             "nested": [{"inner": pair.first, "outer": pair.second} for pair in self.nested],
             "may-touch": [{"a": pair.first, "b": pair.second} for pair in self.may_touch],
             **_copied(self.stages),
+            **({"materials": _copied(self.materials)} if self.materials else {}),
         }
 
 
@@ -205,7 +208,7 @@ def load_settings(
     table, where = _read_config(config, model)
     known = {
         "profile", "units", "weld-tolerance", "gap-search", "recursive", "select", "ignore",
-        "rules", "tissue", "nested", "may-touch", *STAGES,
+        "rules", "tissue", "nested", "may-touch", "materials", *STAGES,
     }  # fmt: skip
     _refuse_unknown(table, known, where)
     chosen = next(name for name in (profile, _string(table, "profile", where), "strict") if name is not None)
@@ -246,6 +249,7 @@ def load_settings(
         gap_search_mm=None if search is None else _not_nan(search, "gap search"),
         recursive=recursive or _flag(table, "recursive", where),
         stages=_stage_tables(table, where),
+        materials=_material_tables(table, where),
     )
 
 
@@ -338,6 +342,13 @@ def _stage_tables(table: Mapping[str, Any], where: str) -> StageTables:
         if values:
             tables[stage] = values
     return tables
+
+
+def _material_tables(table: Mapping[str, Any], where: str) -> dict[str, dict[str, object]]:
+    rows = table.get("materials", {})
+    if not isinstance(rows, dict) or not all(isinstance(row, dict) for row in rows.values()):
+        raise UsageError(f'{where}: materials: write [materials."pattern"] tables')
+    return rows
 
 
 def _copied(tables: StageTables) -> dict[str, dict[str, object]]:

@@ -420,7 +420,9 @@ class BreathProof(TypedDict):
     intervals: int
     least_gap_mm: float | None  # a lower bound at every moment
     unproven: list[dict[str, object]]
-    excused: list[list[str]]  # in contact at rest
+    joined: list[list[str]]  # in contact at rest, and carried along unchanged
+    bounded: list[list[str]]  # in contact at rest, and never more so than a frame may be
+    excused: list[list[str]]  # in contact at rest, and tested in the frames alone
 
 
 class Breathe(TypedDict):
@@ -494,6 +496,82 @@ class Clearance(TypedDict):
     conflicts: list[str]
 
 
+class PipelineStage(TypedDict):
+    """One stage of a pipeline."""
+
+    directory: str  # of its results, below the output directory
+    command: str
+    options: dict[str, object]  # as given, by long name
+    given: str  # the directory whose surfaces it was given; empty: the model
+    outcome: Literal["passed", "errors", "failed", "refused", "not run"]
+    exit_code: int | None  # None: not run, as the pipeline had ended
+    on_error: Literal["stop", "continue"]
+    decides: bool  # whether errors that it found count for the whole
+    report: str | None  # its own report, below the output directory
+    summary: Summary | None  # of that report
+    left_alone: list[dict[str, str]]  # tissues that were refused or failed: name, status, reason
+
+
+class PipelineSection(TypedDict):
+    """What a pipeline did, stage by stage."""
+
+    name: str  # the file, or the preset
+    stages: list[PipelineStage]
+    surfaces: str | None  # the directory of the final surfaces, below the output directory; None: there are none
+    surfaces_of: str | None  # the stage they come from
+    exit_code: int
+
+
+class ExportFile(TypedDict):
+    """One file of an export."""
+
+    file: str  # below the output directory, with forward slashes
+    format: str
+    bytes: int
+    sha256: str
+    tissues: list[str]
+
+
+class ExportTissue(TypedDict):
+    """One tissue of an export: what it is called in the files, and what it is made of."""
+
+    name: str
+    object: str
+    source: str
+    source_sha256: str
+    triangles: int
+    vertices: int
+    inside: str | None  # the smallest tissue that contains it
+    rounding_mm: float | None  # by which coordinates were rounded at most
+    own_volume_mm3: float | None  # without the tissues within it; None of an open surface
+    mass_kg: float | None
+    material: str  # empty: none is known
+    permittivity: float | None  # relative, at the frequency of the export
+    conductivity: float | None  # S/m
+    density: float | None  # kg/m3
+    dielectric_source: str
+    density_source: str
+
+
+class Export(TypedDict):
+    """What was exported."""
+
+    target: str
+    passed: bool
+    refused: bool  # nothing was written
+    forced: bool  # written although the gate failed
+    unit: str
+    mm_per_unit: float
+    frequency_hz: float | None
+    files: list[ExportFile]
+    tissues: list[ExportTissue]
+    without_material: list[str]
+    without_density: list[str]
+    mass_kg: float  # of the tissues with a density
+    left_out: list[str]  # tissues with nothing to write
+    notes: list[str]
+
+
 class Report(TypedDict):
     """The whole report; `run` is the only part that may differ between two runs on the same input."""
 
@@ -511,3 +589,5 @@ class Report(TypedDict):
     tetmesh: NotRequired[Tetmesh]
     breathe: NotRequired[Breathe]
     clearance: NotRequired[Clearance]
+    export: NotRequired[Export]
+    pipeline: NotRequired[PipelineSection]
