@@ -126,24 +126,23 @@ def by_manifold(meshes: Meshes) -> Meshes:
     import manifold3d
 
     def solid(mesh: Mesh) -> Any:
-        return manifold3d.Manifold(
-            manifold3d.Mesh64(
-                vert_properties=np.ascontiguousarray(mesh.vertices), tri_verts=mesh.faces.astype(np.uint64)
-            )
-        )
+        vertices, faces = np.array(mesh.vertices, order="C"), np.array(mesh.faces, np.uint64, order="C")
+        return manifold3d.Manifold(manifold3d.Mesh64(vert_properties=vertices, tri_verts=faces))
 
-    solids = {name: solid(mesh) for name, mesh in meshes.items()}
+    solids, cut = {name: solid(mesh) for name, mesh in meshes.items()}, set()
     for first, second in neighbours(meshes, by_priority(meshes)):
         if not contained(meshes[first], meshes[second]) and not contained(meshes[second], meshes[first]):
             made = solids[second] - solids[first]
             if made.status() == manifold3d.Error.NoError and not made.is_empty():
                 solids[second] = made
-    found = {name: made.to_mesh64() for name, made in solids.items()}
+                cut.add(second)
+    found = {name: solids[name].to_mesh64() for name in cut}
     return {
-        name: Mesh(np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts, np.int32)) if len(mesh.tri_verts)
-        else meshes[name]
-        for name, mesh in found.items()
-    }  # fmt: skip
+        name: Mesh(np.array(found[name].vert_properties)[:, :3], np.array(found[name].tri_verts, np.int32))
+        if name in cut
+        else mesh
+        for name, mesh in meshes.items()
+    }
 
 
 def by_offset(meshes: Meshes) -> Meshes:
@@ -165,6 +164,7 @@ def by_meshlib(meshes: Meshes) -> Meshes:
 
     solids = {name: mrmeshnumpy.meshFromFacesVerts(mesh.faces, mesh.vertices) for name, mesh in meshes.items()}
     grown: dict[str, Any] = {}
+    cut = set()
     settings = mrmeshpy.OffsetParameters()
     settings.voxelSize = GAP / 2
     for first, second in neighbours(meshes, by_priority(meshes)):
@@ -175,11 +175,14 @@ def by_meshlib(meshes: Meshes) -> Meshes:
         made = mrmeshpy.boolean(solids[second], grown[first], mrmeshpy.BooleanOperation.DifferenceAB)
         if made.valid() and made.mesh.topology.numValidFaces():
             solids[second] = made.mesh
-    for made in solids.values():
-        made.pack()
+            cut.add(second)
+    for name in cut:
+        solids[name].pack()
     return {
-        name: Mesh(mrmeshnumpy.getNumpyVerts(made), mrmeshnumpy.getNumpyFaces(made.topology))
-        for name, made in solids.items()
+        name: Mesh(mrmeshnumpy.getNumpyVerts(solids[name]), mrmeshnumpy.getNumpyFaces(solids[name].topology))
+        if name in cut
+        else mesh
+        for name, mesh in meshes.items()
     }
 
 

@@ -27,7 +27,7 @@ from vhp_cli.pipeline.surfaces import surfaces_of
 from vhp_cli.report.html import html_page
 
 WORK = models.CACHE / "page"
-MODELS = {"30 tissues": (30, 20_000), "91 tissues": (91, 330_000), "282 tissues": (282, 700_000)}
+MODELS = {"30 tissues": (30, 20_000), "91 tissues": (91, 700_000), "282 tissues": (282, 700_000)}
 OPENED = 3
 
 

@@ -68,3 +68,24 @@ def test_a_directory_in_use_is_left_alone(broken, out, capsys):
     assert main(["heal", str(broken), "-o", str(out), "--clearance"]) == 2
     assert "not empty" in capsys.readouterr().err
     assert np.all([path.name == "mine.txt" for path in out.iterdir()])
+
+
+def test_pairs_are_declared_for_clearance_only(broken, out, tmp_path, capsys):
+    (tmp_path / "pairs.toml").write_text('[[may-touch]]\na = "spleen"\nb = "kidney"\n')
+    assert main(["heal", str(broken), "-o", str(out), "--declare", str(tmp_path / "pairs.toml")]) == 2
+    assert "--clearance" in capsys.readouterr().err and not out.exists()
+    code, report = run(broken, "-o", out, "--clearance", "--declare", tmp_path / "pairs.toml")
+    (pair,) = report["clearance"]["pairs"]
+    # They crossed: now they do not, and may be as near as they like.
+    assert code == 0 and pair["reached"] and 0 < pair["after"]["min_gap_mm"] < 0.5
+
+
+def test_a_dry_run_says_what_would_be_healed(broken, out, capsys):
+    arguments = ["heal", str(broken), "-o", str(out), "--clearance", "--dry-run"]
+    assert main(arguments) == 0
+    assert [line.split("\t")[1] for line in capsys.readouterr().out.splitlines()] == ["heal"] * 3
+    assert not out.exists()
+    out.mkdir()
+    (out / "mine.txt").write_text("x")
+    assert main(arguments) == 2
+    assert "not empty" in capsys.readouterr().err

@@ -285,6 +285,7 @@ def test_without_webgl_pictures_are_shown(page_file):
         page.wait_for_function("window.vhp && (vhp.failed || vhp.ready)")
         assert "no WebGL" in page.evaluate("vhp.failed")
         assert page.locator("#fallback image").count() == 3
+        assert page.locator("#fallback").is_visible() and not page.locator(".tools").is_visible()
         assert page.locator("#fallback-words").inner_text().endswith("Pictures are shown instead.")
         page.locator(".go").first.click()
         assert not [line for line in said if "WebGL" not in line]

@@ -263,9 +263,9 @@ def _run(ctx: click.Context, given: Mapping[str, Any], *, fitting: bool, with_fr
 
 def _show(report: Any, form: str | None, base: str, *, quiet: bool = False, verbose: bool = False) -> None:
     if form not in (None, "table"):
-        from vhp_cli.report import render
+        from vhp_cli.commands.common import rendered
 
-        click.echo(render(report, form, base=base), nl=False)
+        click.echo(rendered(report, form, base), nl=False)
     elif not quiet:
         from rich.console import Console
 

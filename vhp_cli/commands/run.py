@@ -64,7 +64,12 @@ def _show_preset(ctx: click.Context, parameter: click.Parameter, value: str | No
 @click.option("--dry-run", is_flag=True, help="Check the pipeline and list its stages.")
 @judging_options
 @report_options
-@click.option("--timeout", type=_POSITIVE, metavar="S", help="Seconds for one tissue in each stage. [default: 120]")
+@click.option(
+    "--timeout",
+    type=_POSITIVE,
+    metavar="S",
+    help="Seconds for one tissue in each stage. [default: that of each command]",
+)
 @click.option("--memory", type=_POSITIVE, metavar="GB", help="Memory for one worker. [default: that of each command]")
 @run_options
 @click.pass_context

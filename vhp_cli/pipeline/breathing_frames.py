@@ -192,7 +192,11 @@ class FrameMaker:
         names = [name for name in self._crossings if name in vertices]
 
         def count(name: str) -> int:
-            return Tree(vertices[name], self.rest.tissues[name].mesh.faces).self_hits(limit=1).n_pairs
+            mesh = self.rest.tissues[name].mesh
+            # What is turned inside out need not cross itself; all of its faces are wrong.
+            if volume(vertices[name], mesh.faces) * volume(mesh.vertices, mesh.faces) < 0.0:
+                return self._crossings[name] + len(mesh.faces)
+            return Tree(vertices[name], mesh.faces).self_hits(limit=1).n_pairs
 
         found = zip(names, self.executor.map(count, names), strict=True)
         return {name: pairs for name, pairs in found if pairs > self._crossings[name]}

@@ -42,9 +42,12 @@ def test_any_motion_comes_back_the_same(motion: Motion) -> None:
 
 def test_example_of_the_docs_is_read() -> None:
     page = (Path(__file__).parents[3] / "docs" / "breathe-sequence.md").read_text(encoding="utf-8")
-    file, fields = re.findall(r"```toml\n(.*?)```", page, re.S)
-    sequence = parse_sequence(file + fields + '[[motion]]\nname = "Skin"\nfields = ["chest", "descent"]\n', "docs")
-    assert [len(motion.operations) for motion in sequence.motions] == [3, 0]
+    file, fields, blend = re.findall(r"```toml\n(.*?)```", page, re.S)
+    skin = '[[motion]]\nname = "Skin"\nfields = ["chest", "descent"]\n'
+    strip = '[[motion]]\nname = "Strip"\nfields = ["left_sixth_costal_cartilage"]\n'
+    sequence = parse_sequence(file + fields + blend + skin + strip, "docs")
+    assert [len(motion.operations) for motion in sequence.motions] == [3, 0, 0]
+    assert [len(holder.operations) for holder in sequence.motion("Strip").fields[0].holders] == [3, 0]
     assert len(sequence.motion("Skin").fields) == 2
 
 

@@ -712,7 +712,7 @@ function fillList() {
 function giveUp(reason) {
   byId("fallback").hidden = false;
   byId("fallback-words").textContent = `${reason} Pictures are shown instead.`;
-  document.querySelector(".tools").hidden = true;
+  document.querySelector(".tools").hidden = byId("note").hidden = true;
   canvas.hidden = true;
   window.vhp.failed = reason;
 }

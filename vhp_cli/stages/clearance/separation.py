@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,7 +143,7 @@ def _cut(
     may_shrink: bool,
 ) -> Outcome:
     best: _Made | None = None
-    best_rank = (False, False)
+    best_rank = (False, False, -math.inf)
     failure = ""
     given, thin = judge(mesh), _is_thin(cell, options)
     for scale in _SCALES:
@@ -158,10 +159,12 @@ def _cut(
             continue
         keeps_shape = may_shrink or _keeps_shape(given, made.candidate, _LEAST_THICKNESS * cell.gap_mm, thin=thin)
         # Edges that are too short would have the whole result thrown away.
-        rank = (made.candidate.min_edge >= min(given.min_edge, 0.5 * options.min_edge_mm), keeps_shape)
+        long_enough = made.candidate.min_edge >= min(given.min_edge, 0.5 * options.min_edge_mm)
+        # If no gap leaves it whole, the one that harms it least.
+        rank = (long_enough, keeps_shape, 0.0 if keeps_shape else -_harm(given, made.candidate))
         if best is None or rank > best_rank:
             best, best_rank = made, rank
-        if all(rank):
+        if long_enough and keeps_shape:
             break
     if best is None:
         if actions:
@@ -236,9 +239,15 @@ def _keeps_shape(given: Candidate, found: Candidate, least_mm: float, *, thin: b
         return False
     if not thin:
         return True
+    return _harm(given, found) == 0 and thickness_of(after["volume_mm3"], after["area_mm2"]) >= least_mm
+
+
+def _harm(given: Candidate, found: Candidate) -> int:
+    """Return how many parts and handles a tissue has that it had not."""
+    before, after = given.measures, found.measures
     # The Euler number of so many spheres, less two for each handle.
-    handles = [2 * one["components"] - one["euler"] for one in (before, after)]
-    return handles[1] <= handles[0] and thickness_of(after["volume_mm3"], after["area_mm2"]) >= least_mm
+    handles = [one["components"] - one["euler"] // 2 for one in (before, after)]
+    return max(after["components"] - before["components"], 0) + max(handles[1] - handles[0], 0)
 
 
 def _well_shaped(mesh: Mesh, moved: Mesh, cell: Cell, options: ClearanceOptions) -> Mesh:

@@ -32,6 +32,11 @@ def joint_of(scene: Scene, rib: str, spine: Sequence[str]) -> list[str]:
     return [bone for bone in spine if scene.room(rib, bone, NEAR_MM) < NEAR_MM]
 
 
+def is_unmeasured(scene: Scene, rib: str, joint: Sequence[str]) -> bool:
+    """Tell if the volume that a rib has in common with a bone of its joint can't be told."""
+    return any(frozenset((rib, bone)) in scene.in_contact and bool(np.isnan(scene.common(rib, bone))) for bone in joint)
+
+
 def glide(scene: Scene, rib: str, joint: Sequence[str], motion: Motion) -> Array | None:
     """Return the shortest translation at t = N by which a turning rib keeps its joint as loose as at rest.
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from vhp_cli.kernels.spatial import Tree, gap
 from vhp_cli.stages.breathe.fitting.curves import at, even, even_move
 from vhp_cli.stages.breathe.fitting.ends import RibEnds
-from vhp_cli.stages.breathe.fitting.joints import glide, joint_of
+from vhp_cli.stages.breathe.fitting.joints import glide, is_unmeasured, joint_of
 from vhp_cli.stages.breathe.fitting.scene import Scene, near
 from vhp_cli.stages.breathe.operations import LocalFrame, Operation, Rotate
 from vhp_cli.stages.breathe.sequence import Motion
@@ -197,13 +197,17 @@ class _Search:
         around = {name: near(scene, name, [*lungs, *others], _REACH_MM) for name in pair.ribs.values()}
         self.obstacles = {n: [o for o in found if o not in self.joints[n]] for n, found in around.items()}
         self._motions: dict[tuple[str, Angles], Motion | None] = {}
+        # A joint whose tightness can't be measured, as of open surfaces, must not be turned.
+        self.locked = any(is_unmeasured(scene, name, joint) for name, joint in self.joints.items())
 
     def smallest(self, *, following: bool) -> Angles | None:
         """Return the smallest angles with room, else with the gap that must be kept, else the least bad ones.
 
         A pair whose tips follow the lungs has little choice: None if the first few angles leave no room.
         """
-        candidates = self._candidates()
+        candidates = [(0.0, 0.0)] if self.locked else self._candidates()
+        if following and self.locked and self.least_lift:
+            return None
         if following and self.pair.number not in FREE_RIBS:
             candidates = candidates[:_FEW]
         for room in (ROOM_MM, 0.0):
@@ -216,6 +220,8 @@ class _Search:
 
     def fits(self, angles: Angles, room_mm: float) -> bool:
         """Tell if nothing is too near at these angles, and the lungs have this much room (or as much as at rest)."""
+        if self.locked and any(angles):
+            return False
         turning = {side: self.pair.motion(side, angles, self.scene.steps) for side in self.pair.ribs}
         if not all(self._has_place(side, turning[side], room_mm) for side in turning):
             return False
@@ -231,7 +237,7 @@ class _Search:
         if key not in self._motions:
             name = self.pair.ribs[side]
             motion = self.pair.motion(side, angles, self.scene.steps)
-            shift = glide(self.scene, name, self.joints[name], motion)
+            shift = glide(self.scene, name, self.joints[name], motion) if motion.operations else np.zeros(3)
             self._motions[key] = None if shift is None else self.pair.motion(side, angles, self.scene.steps, shift)
         return self._motions[key]
 
