@@ -46,3 +46,14 @@ class Mesh:
         faces.flags.writeable = False
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
+
+
+def vertex_normals(mesh: Mesh) -> Vertices:
+    """Return the unit normals of the vertices, weighted by area (V, 3); 0 where there is none."""
+    corners = mesh.vertices[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    at = mesh.faces.ravel()
+    sums = np.stack([np.bincount(at, np.repeat(normals[:, axis], 3), len(mesh.vertices)) for axis in range(3)], axis=1)
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    unit: Vertices = sums / np.where(lengths > 0, lengths, 1.0)
+    return unit

@@ -70,6 +70,7 @@ def test_a_directory_in_use_is_left_alone(broken, out, capsys):
     assert np.all([path.name == "mine.txt" for path in out.iterdir()])
 
 
+@pytest.mark.slow
 def test_pairs_are_declared_for_clearance_only(broken, out, tmp_path, capsys):
     (tmp_path / "pairs.toml").write_text('[[may-touch]]\na = "spleen"\nb = "kidney"\n')
     assert main(["heal", str(broken), "-o", str(out), "--declare", str(tmp_path / "pairs.toml")]) == 2

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from vhp_cli.config import Settings
+from vhp_cli.gate import findings_of
 from vhp_cli.inspection.places import MAX_PLACES, point
 from vhp_cli.measures import BreathFrame, Finding, Place
 from vhp_cli.pipeline.breathing_frames import State
 from vhp_cli.pipeline.breathing_model import BreathingModel
-from vhp_cli.rules import RULES
 from vhp_cli.stages.breathe.fitting.fit import Fit
 from vhp_cli.stages.breathe.frame_check import Contact, Narrow
 from vhp_cli.stages.breathe.mass import Density, MassModel
@@ -97,22 +97,11 @@ _Broken = tuple[str, list[str], int, str, list[Place]]
 
 def breathing_findings(facts: BreathFacts, settings: Settings) -> list[Finding]:
     """Return every rule that the breath breaks, at the level that the settings give it."""
-    found: list[Finding] = []
-    for code, names, count, message, places in _broken(facts):
-        level = settings.rule(code, *names).level
-        if level is not None:
-            found.append(
-                {
-                    "rule": code,
-                    "level": level,
-                    "tissues": names,
-                    "count": count,
-                    "message": message,
-                    "places": places,
-                    "hint": RULES[code].fix,
-                }
-            )
-    return found
+    return [
+        finding
+        for code, names, count, message, places in _broken(facts)
+        for finding in findings_of(settings, names, [(code, count, message, places)])
+    ]
 
 
 def _broken(facts: BreathFacts) -> list[_Broken]:

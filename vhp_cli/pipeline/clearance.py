@@ -16,14 +16,14 @@ from pathlib import Path
 
 from vhp_cli import formats
 from vhp_cli.config import Settings
-from vhp_cli.errors import UnreadableFileError, VhpError
-from vhp_cli.formats.atomic import refused, write_atomically
+from vhp_cli.formats.atomic import refused
 from vhp_cli.measures import Action, Report
 from vhp_cli.mesh import Mesh
 from vhp_cli.model import Model, TissueFile
 from vhp_cli.pipeline.check import Checked, Progress, available_cores, check_model
 from vhp_cli.pipeline.clearance_plan import Neighbour, Plan, looking_farther, make_plan
 from vhp_cli.pipeline.clearance_report import clearance_report, reached
+from vhp_cli.pipeline.delivery import deliver
 from vhp_cli.pipeline.journal import Entry, Head, Journal, Recorded, head_of
 from vhp_cli.pipeline.measuring import parse_in_mm
 from vhp_cli.pipeline.output import clear, earlier_run, output_files, refuse_overlap, sha256_of, sole_writer
@@ -303,35 +303,7 @@ class _Run:
             actions = [*earlier.actions, note]
             self._journal.add(replace(earlier, level=self.levels[name], actions=actions))
             return
-        data = result.data
-        if data is None:
-            try:
-                data = formats.read_bytes(source.path)
-            except UnreadableFileError:
-                data = None
-        output = ""
-        if data is None:
-            (self._out / file).unlink(missing_ok=True)
-        else:
-            output = formats.sha256(data)
-            if result.data is None and result.sha256 not in ("", output):
-                raise VhpError(f"{source.file} changed while it was being processed", hint="run the command again")
-            write_atomically(self._out / file, data)
-        self._journal.add(
-            Entry(
-                file,
-                result.sha256 or output,
-                output,
-                result.status,
-                result.reason,
-                result.actions,
-                result.deviation,
-                round(time.perf_counter() - started, 3),
-                self.levels[name],
-                result.history,
-                result.introduced,
-            )
-        )
+        deliver(result, source, self._out, file, self._journal, started=started, level=self.levels[name])
 
     def _processed(self, name: str, children: queue.SimpleQueue[Child]) -> Result:
         """Return the first result that is no worse than the input: as asked, by cutting alone, or more finely."""

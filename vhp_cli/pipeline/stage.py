@@ -11,13 +11,12 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from vhp_cli import formats
 from vhp_cli.config import Settings
-from vhp_cli.errors import UnreadableFileError, VhpError
-from vhp_cli.formats.atomic import refused, write_atomically
+from vhp_cli.formats.atomic import refused
 from vhp_cli.measures import Action
 from vhp_cli.model import Model, TissueFile
 from vhp_cli.pipeline.check import Progress, available_cores
+from vhp_cli.pipeline.delivery import deliver
 from vhp_cli.pipeline.face_errors import FaceErrors
 from vhp_cli.pipeline.journal import Entry, Journal, head_of
 from vhp_cli.pipeline.output import clear, earlier_run, output_files, refuse_overlap, sha256_of, sole_writer
@@ -285,36 +284,7 @@ class _Runner:
         result = self._processed(source, level)
         if self._stopping.is_set():
             return
-        data = result.data
-        if data is None:
-            try:
-                data = formats.read_bytes(source.path)
-            except UnreadableFileError:
-                data = None
-        if data is None:
-            # A directory, or no permission to read: nothing can be handed on, and nothing old may stay.
-            (self._out / file).unlink(missing_ok=True)
-            output = ""
-        else:
-            output = formats.sha256(data)
-            if result.data is None and result.sha256 not in ("", output):
-                raise VhpError(f"{source.file} changed while it was being processed", hint="run the command again")
-            write_atomically(self._out / file, data)
-        self._journal.add(
-            Entry(
-                file,
-                result.sha256 or output,
-                output,
-                result.status,
-                result.reason,
-                result.actions,
-                result.deviation,
-                round(time.perf_counter() - started, 3),
-                level,
-                result.history,
-                result.introduced,
-            )
-        )
+        deliver(result, source, self._out, file, self._journal, started=started, level=level)
 
     def _processed(self, source: TissueFile, level: int) -> Result:
         """Return the gentlest result that changes something, else that of the options as they are."""

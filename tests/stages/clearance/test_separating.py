@@ -224,6 +224,7 @@ def test_small_pieces_left_over_by_a_cut_are_dropped_and_larger_ones_are_not():
         assert (crumbs > 0) == (parts == 1)
 
 
+@pytest.mark.slow
 def test_what_was_squeezed_is_not_squeezed_more():
     plate = box((-10, -10, 0), (10, 10, 1.6))
     lower, upper = box((-20, -20, -9), (20, 20, 0.2)), box((-20, -20, 1.4), (20, 20, 11))

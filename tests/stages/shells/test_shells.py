@@ -27,6 +27,7 @@ def depths(skin: Mesh, mesh: Mesh):
     return np.where(inside, distances, -distances)
 
 
+@pytest.mark.slow
 def test_shells_of_a_ball_are_as_deep_as_asked():
     fat, body = shells(BODY, 1.0, np.full(len(BODY.vertices), 4.0))
     assert (fat.name, body.name) == ("fat", "average_body")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from vhp_cli.kernels import surface
 from vhp_cli.kernels.measuring import thickness
 from vhp_cli.kernels.remeshing import Remesher
-from vhp_cli.mesh import Mesh
+from vhp_cli.mesh import Mesh, vertex_normals
 from vhp_cli.stages.clearance.cell import Cell
 from vhp_cli.stages.clearance.sampling import Samples, excess_of, samples_of
 from vhp_cli.stages.smooth.guard import Guard, Limits
@@ -210,7 +210,7 @@ class _Spread:
 
 def _walls(mesh: Mesh, cell: Cell, thin_mm: float) -> tuple[NDArray[np.int32], Floats]:
     """Return the corners (V, 3) of the face across the wall at each vertex, and how much the vertex goes with them."""
-    normals = _vertex_normals(mesh)
+    normals = vertex_normals(mesh)
     start = mesh.vertices - 1e-4 * normals
     hits = thickness(cell.own.tree, start, -normals, np.full(len(start), -1, np.int32))
     found = (hits.faces >= 0) & (hits.cosines > _PARALLEL) & (hits.distances < thin_mm)
@@ -218,13 +218,3 @@ def _walls(mesh: Mesh, cell: Cell, thin_mm: float) -> tuple[NDArray[np.int32], F
     # All of the way below two thirds of the limit, none of it at the limit.
     part = np.clip(3 * (1 - np.where(found, hits.distances, thin_mm) / max(thin_mm, 1e-300)), 0.0, 1.0)
     return corners, np.where(found, part, 0.0)
-
-
-def _vertex_normals(mesh: Mesh) -> Floats:
-    corners = mesh.vertices[mesh.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    at = mesh.faces.ravel()
-    sums = np.stack([np.bincount(at, np.repeat(normals[:, axis], 3), len(mesh.vertices)) for axis in range(3)], axis=1)
-    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
-    unit: Floats = sums / np.where(lengths > 0, lengths, 1.0)
-    return unit

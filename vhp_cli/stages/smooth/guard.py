@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from vhp_cli.kernels import surface
 from vhp_cli.kernels.measuring import closest
 from vhp_cli.kernels.spatial import Tree
-from vhp_cli.mesh import Mesh
+from vhp_cli.mesh import Mesh, vertex_normals
 from vhp_cli.rounding import rounded
 
 Floats = NDArray[np.float64]
@@ -217,7 +217,7 @@ class Guard:
                 break
             volumes = volumes_of(mesh).volumes
             step = np.where(wanted.closed, np.clip((wanted.volumes - volumes) / gain, -most, most), 0.0)
-            offset = self.settle(mesh, mesh.vertices + step[component][:, None] * _vertex_normals(mesh)).mesh
+            offset = self.settle(mesh, mesh.vertices + step[component][:, None] * vertex_normals(mesh)).mesh
             if not self.volume_error(offset) < error:
                 break
             gained = np.divide(volumes_of(offset).volumes - volumes, step, out=gain.copy(), where=step != 0)
@@ -409,14 +409,3 @@ def _turns(
 ) -> Floats:
     """Return the angle in degrees by which the surface turns at each edge: 0 flat, 180 folded back."""
     return 180.0 - surface.dihedral_angles(vertices, faces, edges, edge_faces)
-
-
-def _vertex_normals(mesh: Mesh) -> Floats:
-    """Return the unit normals of the vertices, weighted by area; 0 where there is none."""
-    corners = mesh.vertices[mesh.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    at = mesh.faces.ravel()
-    sums = np.stack([np.bincount(at, np.repeat(normals[:, axis], 3), len(mesh.vertices)) for axis in range(3)], axis=1)
-    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
-    unit: Floats = sums / np.where(lengths > 0, lengths, 1.0)
-    return unit
