@@ -29,14 +29,14 @@ def one(name, user=None, settings=SETTINGS, frequency=MHZ):
         ("liver", "Liver", 1079), ("Liver_segment_3", "Liver", 1079), ("left_renal_vein", "Blood", 1050),
         ("left_kidney", "Kidney", 1066), ("rib_left_05", "Bone (Cortical)", 1908),
         ("Rib5_marrow", "Bone Marrow (Not Infiltrated)", 980), ("costal_cartilage_left_03", "Cartilage", 1100),
-        ("thyroid_cartilage", "Cartilage", 1100), ("thyroid", "Thyroid", None), ("pancreas", "Thyroid", None),
+        ("thyroid_cartilage", "Cartilage", 1100), ("thyroid", "Thyroid", None), ("pancreas", "Thyroid", 1087),
         ("spinal_cord", "Nerve", 1075), ("optic_nerve_left", "Nerve", 1075), ("skin", "Skin (Dry)", 1109),
         ("fat", "Fat (Not Infiltrated)", 911), ("average_body", "Muscle", 1090),
         ("lung_left", "Lung (Inflated)", 394), ("trachea", "Trachea", 1080), ("heart", "Heart", 1081),
         ("heart_wall_of_right_atrium", "Heart", 1081), ("heart_cavity_of_right_atrium", "Blood", 1050),
-        ("left_lens", "Lens", None), ("gallbladder", "Gall Bladder", None), ("urinary_bladder", "Bladder", None),
-        ("left_superior_temporal_gyrus", "Brain (Grey Matter)", None), ("white_matter", "Brain (White Matter)", None),
-        ("cerebellum", "Cerebellum", None), ("CSF", "Cerebro Spinal Fluid", None), ("pulmonary_trunk", "Blood", 1050),
+        ("left_lens", "Lens", None), ("gallbladder", "Gall Bladder", 1071), ("urinary_bladder", "Bladder", 1086),
+        ("left_superior_temporal_gyrus", "Brain (Grey Matter)", 1046), ("white_matter", "Brain (White Matter)", 1046),
+        ("cerebellum", "Cerebellum", None), ("CSF", "Cerebro Spinal Fluid", 1007), ("pulmonary_trunk", "Blood", 1050),
         ("erector_spinae_left", "Muscle", 1090), ("eye_lens_nucleus", "Lens Nucleus", None),
         ("oesophagus", "Stomach", 1040),
     ],
@@ -54,8 +54,7 @@ def test_materials_by_name(name, material, density):
     "name",
     [
         "ureter_left", "common_bile_duct", "renal_pelvis", "maxillary_sinus", "mitral_valve", "heart_left_ventricle",
-        "scalp", "inner_skull", "part_17", "left_hand", "superior_branch_of_left_superior_cerebellar", "larynx",
-        "brain",
+        "scalp", "inner_skull", "part_17", "left_hand", "superior_branch_of_left_superior_cerebellar",
     ],
 )  # fmt: skip
 def test_nothing_is_made_up(name):
@@ -63,6 +62,13 @@ def test_nothing_is_made_up(name):
     assert found.material == "" and not found.known
     assert found.permittivity is found.conductivity is found.density is None
     assert found.dielectric_source == found.density_source == ""
+
+
+@pytest.mark.parametrize(("name", "density"), [("larynx", 1100), ("brain", 1046)])
+def test_a_density_alone_is_no_material(name, density):
+    found = one(name)
+    assert found.material == "" and not found.known and found.permittivity is None
+    assert found.density == density and found.density_source
 
 
 def test_without_a_frequency_there_are_no_dielectric_properties():
