@@ -34,10 +34,10 @@ $(VENV)/.dev: $(VENV)/.test
 	$(PIP) install -e '.[test,dev]'
 	@touch $@
 
-demo: $(VENV)/.package system-libraries ## make two small models, one sound and one with defects, check both, heal the second, let the first breathe
+demo: $(VENV)/.package system-libraries ## make two small models, one sound and one with defects, check both, heal and export the second, let the first breathe
 	@rm -rf $(DEMO)
 	$(BIN)/vhp phantom $(DEMO)/phantom
-	$(BIN)/vhp check $(DEMO)/phantom --report $(DEMO)/phantom.json
+	$(BIN)/vhp check $(DEMO)/phantom --report $(DEMO)/phantom.json --report-html $(DEMO)/phantom.html
 	$(BIN)/vhp phantom $(DEMO)/broken --defects 7 --defect-rules T,X,Q,F003,F004
 	@echo '$(BIN)/vhp check $(DEMO)/broken --report $(DEMO)/broken.json --report $(DEMO)/broken.md'
 	@$(BIN)/vhp check $(DEMO)/broken --report $(DEMO)/broken.json --report $(DEMO)/broken.md; code=$$?; \
@@ -46,7 +46,9 @@ demo: $(VENV)/.package system-libraries ## make two small models, one sound and 
 	$(BIN)/vhp heal $(DEMO)/broken -o $(DEMO)/healed --report $(DEMO)/healed.md
 	$(BIN)/vhp check $(DEMO)/healed
 	@echo 'Healed, the broken model passes.'
+	$(BIN)/vhp export $(DEMO)/healed -o $(DEMO)/hfss --for hfss --frequency 300MHz
 	$(BIN)/vhp breathe $(DEMO)/phantom -o $(DEMO)/breathing
+	@echo 'Pages for a browser: $(DEMO)/phantom.html $(DEMO)/breathing/animation.html'
 	@echo 'Reports: $(DEMO)/phantom.json $(DEMO)/broken.json $(DEMO)/broken.md $(DEMO)/healed/report.json $(DEMO)/healed.md $(DEMO)/breathing/report.json'
 	@echo 'Defects planted: $(DEMO)/broken/planted.json'
 
