@@ -331,7 +331,8 @@ class _Process:
                 left = 0.5 if limit is None else limit.left()
                 if left <= 0:
                     break
-                worker.join(min(left, 0.5))
+                # Not too often, as a process that waits gets a little more time at each look.
+                worker.join(min(max(left, 0.05), 0.5))
             # An answer that came in the last moment counts.
             return outcomes[0] if outcomes else None
         finally:
