@@ -12,7 +12,7 @@ from shapes import box
 
 from vhp_cli.errors import UnreadableFileError, VhpError
 from vhp_cli.formats import read_mesh, write_mesh
-from vhp_cli.formats.atomic import atomic_write_bytes, atomic_write_text, write_atomically
+from vhp_cli.formats.atomic import atomic_write_bytes, atomic_write_text, make_directory, write_atomically
 
 
 def test_contents_and_permissions(tmp_path):
@@ -85,6 +85,15 @@ def test_directories_that_cannot_be_written(tmp_path):
     with pytest.raises(VhpError, match=r"directory"):
         write_mesh(tmp_path / "a.stl", box())
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.stl", "file"]
+
+
+def test_make_directory(tmp_path):
+    make_directory(tmp_path / "a" / "b")
+    make_directory(tmp_path / "a" / "b")
+    assert (tmp_path / "a" / "b").is_dir()
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(VhpError, match="can't write .*file"):
+        make_directory(tmp_path / "file" / "b")
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write everywhere")

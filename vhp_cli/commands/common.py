@@ -42,13 +42,13 @@ def report_base(model: tuple[Path, ...]) -> str:
 
 def write_reports(report: Report, targets: list[Target], base: str) -> None:
     """Write the report to every target that is a file, and to the pages of `--report-html`; pages come last."""
-    from vhp_cli.formats.atomic import write_atomically
+    from vhp_cli.formats.atomic import make_directory, write_atomically
 
     context = click.get_current_context(silent=True)
     pages = [(page, "html") for page in (context.meta.get(PAGES, ()) if context else ())]
     for path, form in sorted((*targets, *pages), key=lambda target: target[1] == "html"):
         if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_directory(path.parent)
             write_atomically(path, rendered(report, form, base).encode())
 
 

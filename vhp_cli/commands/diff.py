@@ -74,7 +74,7 @@ def diff(
     Exit code: 0 nothing is worse, 1 something is (see --fail-on), 2 wrong usage or nothing readable, 3 a tissue could
     not be processed.
     """
-    from vhp_cli.formats.atomic import write_atomically
+    from vhp_cli.formats.atomic import make_directory, write_atomically
     from vhp_cli.report.compare import compare
     from vhp_cli.report.compare_text import render_difference
 
@@ -92,7 +92,7 @@ def diff(
     verbose = bool(talk.get("verbose"))
     for target, its_form in targets:
         if target is not None:
-            target.parent.mkdir(parents=True, exist_ok=True)
+            make_directory(target.parent)
             write_atomically(target, render_difference(found, its_form, verbose=True).encode())
     to_stdout = form or ("json" if any(target is None for target, _ in targets) else "text")
     if to_stdout != "text" or not talk.get("quiet"):

@@ -94,10 +94,10 @@ def view(
             )
         report, base, failed = checked.report, report_base(model), checked.failed
     page = output or page_in_cache(model)
-    from vhp_cli.formats.atomic import write_atomically
+    from vhp_cli.formats.atomic import make_directory, write_atomically
 
     text = _page(report, base, model[0])
-    page.parent.mkdir(parents=True, exist_ok=True)
+    make_directory(page.parent)
     write_atomically(page, text.encode())
     click.echo(str(page))
     if opening and click.launch(page.resolve().as_uri()) != 0:

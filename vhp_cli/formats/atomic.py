@@ -63,6 +63,20 @@ def refused(path: Path, error: OSError) -> VhpError:
     return VhpError(message, hint="check that the directory exists, may be written to, and has room")
 
 
+def make_directory(directory: Path) -> None:
+    """Make a directory and those above it; nothing happens if it is there.
+
+    Raises
+    ------
+    VhpError
+        If the file system refuses; `NoRoomError` if the disk is full.
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise refused(directory, error) from error
+
+
 def _sync_directory(directory: Path) -> None:
     """Make the rename last; some systems can't open or flush a directory, and lose nothing else by that."""
     if os.name == "nt":

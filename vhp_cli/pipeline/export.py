@@ -14,7 +14,7 @@ import numpy as np
 from vhp_cli import formats
 from vhp_cli.config import UNITS, Settings
 from vhp_cli.errors import VhpError
-from vhp_cli.formats.atomic import refused, write_atomically
+from vhp_cli.formats.atomic import make_directory, write_atomically
 from vhp_cli.formats.stl import parse_stl, stl_bytes
 from vhp_cli.formats.surfaces import FORMS, NamedSurface, write_surfaces
 from vhp_cli.measures import Export, ExportFile, ExportTissue, Report
@@ -110,10 +110,7 @@ def export_model(
 
     before = check(model, settings, paths, "input")
     refuse_size(before.report, job)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise refused(out, error) from error
+    make_directory(out)
     with sole_writer(out):
         run = _Run(model, out, job, settings, head, before, check, progress)
         return run.refused(before) if run.is_refused(before) else run.export(overwrite=overwrite)

@@ -12,7 +12,7 @@ from typing import Any
 
 from vhp_cli.errors import UsageError
 from vhp_cli.formats import sha256
-from vhp_cli.formats.atomic import refused, write_atomically
+from vhp_cli.formats.atomic import make_directory, write_atomically
 from vhp_cli.measures import Report
 from vhp_cli.model import find_model
 from vhp_cli.pipeline.child_command import run_command
@@ -178,10 +178,7 @@ def run_pipeline(
         If the run was interrupted; it can be taken up.
     """
     check_output(model, out, recursive=recursive)
-    try:
-        (out / RECORDS).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise refused(out, error) from error
+    make_directory(out / RECORDS)
     with sole_writer(out):
         # While the report is missing, what is there is not complete.
         (out / REPORT).unlink(missing_ok=True)
@@ -362,10 +359,7 @@ def _publish(out: Path, source: Path, config: Path | None) -> None:
     record = Record("", "", "", "started", files=wanted)
     empty(out, FINAL, record)
     for file, data in contents.items():
-        try:
-            (target / file).parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise refused(target, error) from error
+        make_directory((target / file).parent)
         write_atomically(target / file, data)
     write_record(out, FINAL, replace(record, state="ended"))
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from vhp_cli.config import Settings
-from vhp_cli.formats.atomic import refused
+from vhp_cli.formats.atomic import make_directory
 from vhp_cli.measures import Action
 from vhp_cli.model import Model, TissueFile
 from vhp_cli.pipeline.check import Progress, available_cores
@@ -200,7 +200,7 @@ def run_stage(
         If the disk is full; what is finished is kept.
     """
     plan_stage(model, out, stage, settings, paths=paths, overwrite=overwrite)
-    _make_directory(out)
+    make_directory(out)
     with sole_writer(out):
         # Another run may have ended since.
         plan = plan_stage(model, out, stage, settings, paths=paths, overwrite=overwrite)
@@ -208,7 +208,7 @@ def run_stage(
         levels = {**plan.levels, **{file: plan.levels.get(file, 0) + 1 for file in soften}}
         journal = Journal(out, head_of(stage.command, _identity(stage, settings)), plan.kept, levels)
         for file in plan.files:
-            _make_directory((out / file).parent)
+            make_directory((out / file).parent)
         jobs = jobs or available_cores()
         runner = _Runner(out, stage, settings, journal, limits or Limits(), levels)
         todo = [
@@ -321,13 +321,6 @@ class _Runner:
 def _identity(stage: Stage, settings: Settings) -> dict[str, object]:
     """Return everything but the inputs and the code that decides what comes out."""
     return {"stage": stage.target, "options": dict(stage.described), "settings": settings.as_dict()}
-
-
-def _make_directory(directory: Path) -> None:
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise refused(directory, error) from error
 
 
 def _size(path: Path) -> int:

@@ -92,6 +92,7 @@ def test_limit_comes_before_the_target():
     assert len(made.mesh.faces) > 256
     assert made.reason.startswith("256 triangles were asked for")
     assert "farther than allowed" in made.reason
+    assert f"{len(made.mesh.faces)} triangles are left" in made.reason
 
 
 @pytest.mark.parametrize("method", METHODS)

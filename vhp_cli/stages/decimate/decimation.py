@@ -75,15 +75,16 @@ def decimate(mesh: Mesh, options: DecimateOptions) -> Outcome:
     if len(given.mesh.faces) <= target:
         return Outcome(None, "unchanged")
     limit = options.limit_share * (options.max_deviation_mm or default_limit(given))
-    reason = ""
     for share in _SHARES if options.targets else _SHARES[1:]:
         collapsed = _collapsed(given.mesh, target, share * limit, options)
-        reason = _why_not(collapsed, target, options)
         if not len(collapsed.errors):
+            reason = _why_not(collapsed, len(collapsed.faces), target, options)
             return Outcome(None, "refused", f"no triangle removed: {reason}")
         found = _best(given, collapsed, limit, options)
         if found is not None and (share == _SHARES[-1] or _volume_error(given, found.candidate) <= _MOST_VOLUME):
             actions = _actions(given, found.candidate, target, options)
+            # The quality phase takes a few triangles more away.
+            reason = _why_not(collapsed, len(found.candidate.mesh.faces), target, options)
             return Outcome(found.candidate.mesh, "changed", reason, actions, found.deviation)
     return Outcome(None, "refused", f"no result lies within {limit:.3g} mm of the input, or is as sound as that")
 
@@ -146,15 +147,15 @@ def _collapsed(mesh: Mesh, target: int, max_deviation: float, options: DecimateO
     )
 
 
-def _why_not(collapsed: Decimated, target: int, options: DecimateOptions) -> str:
+def _why_not(collapsed: Decimated, left: int, target: int, options: DecimateOptions) -> str:
     """Return why the target was not reached; empty if it was, or if the limits are the target."""
-    if collapsed.ending != "refused" or not options.targets:
+    if collapsed.ending != "refused" or not options.targets or left <= target:
         return ""
     guard = max(collapsed.last_refused, key=lambda name: collapsed.last_refused[name])
     wanted = (
         f"{target} triangles were asked for" if target else f"edges of {options.edge_length_mm:g} mm were asked for"
     )
-    return f"{wanted}, {len(collapsed.faces)} triangles are left: {_ENDINGS[guard]}"
+    return f"{wanted}, {left} triangles are left: {_ENDINGS[guard]}"
 
 
 def _best(given: Candidate, collapsed: Decimated, limit: float, options: DecimateOptions) -> _Found | None:
