@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vhp_cli import processes
-from vhp_cli.processes import CallFailed, CallsStopped, Child
+from vhp_cli.processes import CallFailed, CallsStopped, Child, calling, stop_all, waiting
 
 posix_only = pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX signals")
 linux_only = pytest.mark.skipif(sys.platform != "linux", reason="enforced on Linux only")
@@ -89,13 +88,13 @@ def test_timeout_kills_the_process(child):
 def test_waiting_for_a_processor_is_no_time_of_the_call(child, monkeypatch):
     child.call("process_targets:add", 1, 1)
     waited = iter([0.0, 2.0, 2.0, 2.0])
-    monkeypatch.setattr(processes, "waiting_times", lambda _: {"1": next(waited)})
+    monkeypatch.setattr(waiting, "waiting_times", lambda _: {"1": next(waited)})
     assert child.call("process_targets:sleep", 0.6, timeout_s=0.3) is None
 
 
 def test_a_call_that_waits_without_end_is_ended_too(child, monkeypatch):
     child.call("process_targets:add", 1, 1)
-    monkeypatch.setattr(processes, "waiting_times", lambda _: {"1": time.monotonic() * 1e3})
+    monkeypatch.setattr(waiting, "waiting_times", lambda _: {"1": time.monotonic() * 1e3})
     start = time.monotonic()
     assert failure(child, "process_targets:sleep", 60, timeout_s=0.2)[0] == "timeout"
     assert 0.75 < time.monotonic() - start < 10
@@ -103,14 +102,14 @@ def test_a_call_that_waits_without_end_is_ended_too(child, monkeypatch):
 
 @linux_only
 def test_who_has_no_processor_waits():
-    before = processes.waiting_times([os.getpid()])
+    before = waiting.waiting_times([os.getpid()])
     assert str(os.getpid()) in before
     crowd = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(4 * (os.cpu_count() or 1))]
     try:
         end = time.monotonic() + 1.0
         while time.monotonic() < end:
             pass
-        after = processes.waiting_times([os.getpid()])
+        after = waiting.waiting_times([os.getpid()])
     finally:
         for process in crowd:
             process.kill()
@@ -121,8 +120,8 @@ def test_who_has_no_processor_waits():
 @linux_only
 def test_the_family_of_a_process_is_found(child):
     child.call("process_targets:start_sleeper")
-    assert len(processes._descendants(os.getpid())) >= 2
-    assert len(processes._descendants(child.pid)) == 1
+    assert len(waiting.descendants(os.getpid())) >= 2
+    assert len(waiting.descendants(child.pid)) == 1
 
 
 @posix_only
@@ -364,7 +363,7 @@ def test_interrupt_ends_parent_and_child(tmp_path):
 
 
 def test_stop_all_ends_calls_of_other_threads(child, monkeypatch):
-    monkeypatch.setattr(processes, "_stopped", threading.Event())
+    monkeypatch.setattr(calling, "_stopped", threading.Event())
     child.call("process_targets:process_id")
     caught: list[BaseException] = []
 
@@ -377,7 +376,7 @@ def test_stop_all_ends_calls_of_other_threads(child, monkeypatch):
     thread = threading.Thread(target=work)
     thread.start()
     time.sleep(0.2)
-    processes.stop_all()
+    stop_all()
     thread.join(10)
     assert len(caught) == 1
     with pytest.raises(CallsStopped):

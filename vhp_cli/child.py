@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from vhp_cli.cli import main
-from vhp_cli.processes import die_with
+from vhp_cli.processes.serving import die_with
 
 if __name__ == "__main__":
     die_with(int(sys.argv[1]))

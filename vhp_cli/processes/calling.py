@@ -1,39 +1,26 @@
-"""Functions called in child processes, under limits of time and memory.
-
-Third-party engines can hang, crash, print, write files where they stand, and take all memory. Here each runs
-in a process of its own that can be killed at any moment, and whatever happens there becomes one exception.
-
-The child is ``python -m vhp_cli.processes``. A request goes to its standard input, the answer comes back on
-its standard output, both pickled; what libraries print is caught apart and kept for the message of a crash.
-"""
+"""The parent's side: child processes, and calls of functions in them."""
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import functools
-import importlib
 import os
-import pickle
 import shutil
 import signal
-import struct
 import subprocess
 import sys
 import tempfile
 import threading
-import time
 import weakref
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from pathlib import Path
 from typing import IO, Any, Literal
 
 from vhp_cli.errors import VhpError
+from vhp_cli.processes.messages import Part, encode, receive, send
+from vhp_cli.processes.waiting import Limit
 
 Reason = Literal["timeout", "memory", "crash", "error"]
-
-_LINUX = sys.platform == "linux"
 # One thread each: sums come out the same on every machine, and the pipeline decides how many children run at once.
 _ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
@@ -45,9 +32,6 @@ _ENVIRONMENT = {
 }
 _LONGEST_DETAIL = 400
 _KEPT_OUTPUT = 4096
-_PR_SET_PDEATHSIG = 1
-# Times its limit that a call may wait for a processor without being charged for it.
-_MOST_WAITING = 3
 
 
 class CallFailed(VhpError):
@@ -145,8 +129,8 @@ class Child:
         CallsStopped
             After `stop_all`.
         """
-        limit = None if timeout_s is None else _Limit(timeout_s)
-        request = _encode((target, arguments))
+        limit = None if timeout_s is None else Limit(timeout_s)
+        request = encode((target, arguments))
         with self._lock:
             try:
                 if self._process is None or not self._process.alive:
@@ -210,54 +194,6 @@ def _kill_when_started(future: Future[subprocess.Popen[bytes]]) -> None:
         future.result().kill()
 
 
-class _Limit:
-    """The time that a call may take, without that in which its process waited for a processor."""
-
-    def __init__(self, seconds: float) -> None:
-        self._seconds = seconds
-        self._start = time.monotonic()
-        self._end = self._start + seconds
-        self._process = 0
-        self._waited: dict[str, float] = {}
-
-    def watch(self, process: int) -> None:
-        """Count from now on what a process and its children wait."""
-        self._process = process
-        self._waited = waiting_times([process])
-
-    def left(self) -> float:
-        """Return the seconds left, at least."""
-        if time.monotonic() >= self._end:
-            now = waiting_times([self._process, *_descendants(self._process)])
-            longest = max((total - self._waited.get(thread, 0.0) for thread, total in now.items()), default=0.0)
-            self._end = self._start + self._seconds + min(longest, _MOST_WAITING * self._seconds)
-        return self._end - time.monotonic()
-
-
-def waiting_times(processes: Iterable[int]) -> dict[str, float]:
-    """Return the seconds that each thread was ready to run and had no processor; nothing where that is unknown."""
-    found: dict[str, float] = {}
-    for process in processes if _LINUX else ():
-        # Threads and processes come and go meanwhile; some kernels do not count.
-        with contextlib.suppress(OSError, ValueError, IndexError):
-            for thread in Path(f"/proc/{process}/task").iterdir():
-                found[thread.name] = int((thread / "schedstat").read_text().split()[1]) * 1e-9
-    return found
-
-
-def _descendants(process: int) -> list[int]:
-    children: dict[int, list[int]] = {}
-    for entry in Path("/proc").glob("[0-9]*") if _LINUX else ():
-        with contextlib.suppress(OSError, ValueError, IndexError):
-            # After the name, which may hold anything: state, parent.
-            parent = int((entry / "stat").read_text(errors="replace").rpartition(")")[2].split()[1])
-            children.setdefault(parent, []).append(int(entry.name))
-    found = [process]
-    for one in found:
-        found += children.get(one, [])
-    return found[1:]
-
-
 class _Process:
     """One running child; nothing of it is left after `kill`."""
 
@@ -308,7 +244,7 @@ class _Process:
     def alive(self) -> bool:
         return self._popen.poll() is None
 
-    def exchange(self, request: Sequence[_Part], limit: _Limit | None) -> Any:
+    def exchange(self, request: Sequence[Part], limit: Limit | None) -> Any:
         """Return the answer to a request, the exception on the way to it, or None when time is up."""
         outcomes: list[Any] = []
         if limit is not None:
@@ -318,8 +254,8 @@ class _Process:
             stdin, stdout = self._popen.stdin, self._popen.stdout
             assert stdin is not None and stdout is not None
             try:
-                _send(stdin, request)
-                outcomes.append(_receive(stdout))
+                send(stdin, request)
+                outcomes.append(receive(stdout))
             except BaseException as error:
                 outcomes.append(error)
 
@@ -398,124 +334,3 @@ def _keep_tail(stream: IO[bytes], kept: bytearray, on_output: Callable[[bytes], 
                 # Whatever goes wrong there, the pipe must not fill up.
                 with contextlib.suppress(Exception):
                     on_output(chunk)
-
-
-# A message is the number of its parts, their lengths, and the parts: the pickle, then the bytes of large arrays.
-_Part = bytes | bytearray | memoryview
-
-
-def _encode(value: Any) -> list[_Part]:
-    buffers: list[pickle.PickleBuffer] = []
-    body = pickle.dumps(value, protocol=5, buffer_callback=buffers.append)
-    parts: list[_Part] = [body, *(buffer.raw() for buffer in buffers)]
-    header = struct.pack(f"<{1 + len(parts)}Q", len(parts), *(len(part) for part in parts))
-    return [header, *parts]
-
-
-def _send(stream: IO[bytes], message: Sequence[_Part]) -> None:
-    for part in message:
-        stream.write(part)
-    stream.flush()
-
-
-def _receive(stream: IO[bytes]) -> Any:
-    (n_parts,) = struct.unpack("<Q", _read(stream, 8))
-    lengths = struct.unpack(f"<{n_parts}Q", _read(stream, 8 * n_parts))
-    body, *buffers = [_read(stream, length) for length in lengths]
-    return pickle.loads(body, buffers=buffers)
-
-
-def _read(stream: IO[bytes], length: int) -> bytearray:
-    found = bytearray(length)
-    view, done = memoryview(found), 0
-    while done < length:
-        count = stream.readinto(view[done:])  # type: ignore[attr-defined]
-        if not count:
-            raise EOFError
-        done += count
-    return found
-
-
-def _serve(parent: int, memory_gb: float) -> None:
-    """Answer requests until there are no more; the life of a child."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    die_with(parent)
-    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    os.dup2(nothing, 0)
-    os.close(nothing)
-    os.dup2(2, 1)
-    _limit(memory_gb)
-    while True:
-        try:
-            target, arguments = _receive(requests)
-        except EOFError:
-            return
-        except MemoryError:
-            raise
-        except Exception as error:
-            # The message was read to its end: only its content can't be rebuilt here.
-            _send(answers, _encode(("error", _described(error))))
-            continue
-        message = _answer(target, arguments)
-        del arguments
-        try:
-            _send(answers, message)
-        except BrokenPipeError:
-            return
-
-
-def _answer(target: str, arguments: Sequence[Any]) -> list[_Part]:
-    try:
-        module, _, name = target.partition(":")
-        result = getattr(importlib.import_module(module), name)(*arguments)
-        return _encode(("result", result))
-    except MemoryError as error:
-        return _encode(("memory", str(error) or "out of memory"))
-    except (Exception, SystemExit) as error:
-        return _encode(("error", _described(error)))
-
-
-def _described(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}"[:_LONGEST_DETAIL]
-
-
-def die_with(parent: int) -> None:
-    """Let this process be killed when its parent ends, however that ends."""
-    if _LINUX:
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-        if os.getppid() != parent:
-            os._exit(1)
-    elif sys.platform != "win32":
-
-        def watch() -> None:
-            while os.getppid() == parent:
-                time.sleep(0.5)
-            os._exit(1)
-
-        threading.Thread(target=watch, daemon=True).start()
-
-
-def _limit(memory_gb: float) -> None:
-    if sys.platform == "win32":
-        return
-    import resource
-
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    if not _LINUX:
-        return
-    with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w", encoding="ascii") as file:  # noqa: PTH123
-        # When the machine runs out of memory, this process has to go before the one that can tell.
-        file.write("500")
-    if memory_gb:
-        with open("/proc/self/statm", encoding="ascii") as file:  # noqa: PTH123
-            taken = int(file.read().split()[0]) * resource.getpagesize()
-        most = taken + int(memory_gb * 2**30)
-        hard = resource.getrlimit(resource.RLIMIT_AS)[1]
-        if hard != resource.RLIM_INFINITY:
-            most = min(most, hard)
-        resource.setrlimit(resource.RLIMIT_AS, (most, hard))
-
-
-if __name__ == "__main__":
-    _serve(int(sys.argv[1]), float(sys.argv[2]))
