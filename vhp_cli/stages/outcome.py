@@ -23,7 +23,7 @@ class Outcome:
         ``"changed"``: `mesh` takes the place of the input; ``"unchanged"``: there was nothing to do;
         ``"refused"``: what the tissue needs would break a limit; ``"failed"``: something went wrong.
     reason
-        Why it was refused or failed, in one clause; else empty.
+        Why it was refused or failed, or what a change falls short of, in one clause; else empty.
     actions
         What was done, in order.
     deviation

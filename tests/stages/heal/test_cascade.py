@@ -58,6 +58,15 @@ def test_well_shaped_triangles_are_left_alone() -> None:
     assert heal(sphere(radius=10.0), HealOptions()).status == "unchanged"
 
 
+def test_triangles_that_no_limit_lets_improve_are_named() -> None:
+    """Edges of 0.03 mm can only become longer than 0.2 mm if the surface may move."""
+    tiny = sphere(0.5, subdivisions=4)
+    found = heal(tiny, HealOptions(min_edge_mm=0.2, max_deviation_mm=1e-4))
+    assert found.mesh is None and found.status == "refused"
+    assert "within 0.0001 mm" in found.reason and "0.2 mm asked" in found.reason
+    assert heal(tiny, HealOptions(min_edge_mm=0.2, max_deviation_mm=0.2)).status == "changed"
+
+
 def test_a_hole_is_closed_and_named() -> None:
     ball = sphere(radius=10.0)
     hole = np.linalg.norm(centres(ball) - centres(ball)[5], axis=1) < 2.0

@@ -21,7 +21,7 @@ from vhp_cli.stages.heal.manifold import make_manifold
 from vhp_cli.stages.heal.openings import defects, drop_shards, parts
 from vhp_cli.stages.heal.options import HealOptions
 from vhp_cli.stages.heal.orientation import orient
-from vhp_cli.stages.heal.quality import improve, is_good
+from vhp_cli.stages.heal.quality import improve, is_good, shortfall
 from vhp_cli.stages.heal.rebuild import envelope, refill, wrap
 from vhp_cli.stages.heal.separation import separate
 from vhp_cli.stages.heal.thicken import thicken
@@ -72,8 +72,8 @@ def heal(mesh: Mesh, options: HealOptions) -> Outcome:
     -------
     Outcome
         ``changed`` with the healed mesh, whose coordinates are float32 values; ``unchanged`` if there was nothing
-        to do, or nothing that helps; ``refused``, with the reason, if the surface is no solid or no repair made it
-        one.
+        to do; ``refused``, with the reason, if the surface is no solid, no repair made it one, or its triangles can't
+        be made better.
     """
     healed, actions = judge(mesh, may_be_open=not options.cap_openings), Actions()
     is_whole = healed.sound and (options.cap_openings or not defects(healed.mesh))
@@ -88,9 +88,11 @@ def heal(mesh: Mesh, options: HealOptions) -> Outcome:
     if not options.only_topology:
         healed, done = improve(healed, mesh, options)
         actions = actions + done
+    reason = "" if options.only_topology else shortfall(healed, mesh, options)
     if not actions:
-        return Outcome(None, "unchanged")
-    return Outcome(healed.mesh, "changed", "", actions, deviation(mesh, healed.mesh, lost_limit_mm=lost_limit(mesh)))
+        return Outcome(None, "refused" if reason else "unchanged", reason)
+    apart = deviation(mesh, healed.mesh, lost_limit_mm=lost_limit(mesh))
+    return Outcome(healed.mesh, "changed", reason, actions, apart)
 
 
 def lost_limit(mesh: Mesh) -> float:

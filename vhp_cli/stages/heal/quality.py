@@ -45,6 +45,8 @@ _FINER = 0.7
 _MOST_WORK = 600_000_000
 # ... and at least for each refinement around bad faces, which are few.
 _LOCAL_WORK = 60_000_000
+# Where no wish is met that was not before: so much must q have gained, for the surface to be touched at all.
+_GAIN = 0.01
 # Logarithm of the mean edge length over the wanted one, up to which an edge length counts as met.
 _NEAR_LENGTH = 0.25
 # A mesh may grow by this factor over its input, and to this number in any case.
@@ -55,6 +57,20 @@ _FEW_TRIANGLES = 2_000
 def is_good(candidate: Candidate, options: HealOptions) -> bool:
     """Tell whether the triangles of a mesh need nothing."""
     return _suffices(_rank(candidate, options))
+
+
+def shortfall(candidate: Candidate, given: Mesh, options: HealOptions) -> str:
+    """Return which wishes the best mesh found misses, in one clause; empty if none, or if its mean q alone is low."""
+    edge, count = candidate.measures["edge_mm"], candidate.measures["triangles"]
+    met = _rank(candidate, options)
+    missed = {
+        f"{count} triangles, at most {options.max_triangles} asked": met[0],
+        f"edges of {edge['mean'] if edge else 0:.3g} mm in the mean, {options.edge_length_mm} mm asked": met[1],
+        f"shortest edge {candidate.min_edge:.3g} mm, {options.min_edge_mm:g} mm asked": met[2],
+        f"least q {candidate.min_quality:.3g}, {options.target_quality:g} asked": met[4],
+    }
+    words = "; ".join(words for words, kept in missed.items() if not kept)
+    return f"no better triangles were found within {deviation_limit(given, options):.3g} mm: {words}" if words else ""
 
 
 def deviation_limit(mesh: Mesh, options: HealOptions) -> float:
@@ -96,6 +112,8 @@ def improve(solid: Candidate, given: Mesh, options: HealOptions) -> tuple[Candid
                 break
             attempts.refine(share)
     attempts.refine_the_rest()
+    if not _is_worth_it(solid, attempts.best, options):
+        return solid, []
     return attempts.best, attempts.actions()
 
 
@@ -323,6 +341,14 @@ class _Attempts:
 # In this order: few enough triangles; edges as long as asked; no edge too short; no triangle really bad; min q and mean
 # q as wanted; and how far they go beyond.
 _Rank = tuple[bool, bool, bool, bool, bool, bool, float, float]
+
+
+def _is_worth_it(before: Candidate, after: Candidate, options: HealOptions) -> bool:
+    """Tell if a mesh meets a wish that the one before did not, or is clearly nearer to it."""
+    old, new = _rank(before, options), _rank(after, options)
+    if new[:-2] != old[:-2]:
+        return new > old
+    return new[-2] > min(2 * old[-2], old[-2] + _GAIN) or new[-1] > old[-1] + _GAIN
 
 
 def _rank(candidate: Candidate, options: HealOptions) -> _Rank:
