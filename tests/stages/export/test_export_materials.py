@@ -38,7 +38,9 @@ def one(name, user=None, settings=SETTINGS, frequency=MHZ):
         ("left_superior_temporal_gyrus", "Brain (Grey Matter)", 1046), ("white_matter", "Brain (White Matter)", 1046),
         ("cerebellum", "Cerebellum", None), ("CSF", "Cerebro Spinal Fluid", 1007), ("pulmonary_trunk", "Blood", 1050),
         ("erector_spinae_left", "Muscle", 1090), ("eye_lens_nucleus", "Lens Nucleus", None),
-        ("oesophagus", "Stomach", 1040),
+        ("oesophagus", "Stomach", 1040), ("lh_pial", "Brain (Grey Matter)", 1046), ("gm", "Brain (Grey Matter)", 1046),
+        ("white_right", "Brain (White Matter)", 1046), ("wm", "Brain (White Matter)", 1046),
+        ("pial_artery", "Blood", 1050), ("white_rami_of_nerve", "Nerve", 1075),
     ],
 )  # fmt: skip
 def test_materials_by_name(name, material, density):
