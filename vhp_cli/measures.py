@@ -305,7 +305,8 @@ class TetmeshInterface(TypedDict):
 class TetmeshAttempt(TypedDict):
     """One call of the mesher."""
 
-    tissue: str  # empty: all together
+    cluster: int  # from 1
+    tissue: str  # empty: several together
     edge_length_mm: float
     epsilon_mm: float
     stop_energy: float
@@ -316,6 +317,17 @@ class TetmeshAttempt(TypedDict):
     radius_ratio_p01: float | None
     failure: str
     chosen: bool
+
+
+class TetmeshCluster(TypedDict):
+    """Tissues that were meshed together, as they stand apart from all others."""
+
+    tissues: list[str]
+    tets: int
+    edge_length_mm: float
+    epsilon_mm: float
+    epsilon_reason: str
+    failure: str  # why there is no mesh; empty: there is one
 
 
 class TetmeshOverlap(TypedDict):
@@ -347,8 +359,9 @@ class Tetmesh(TypedDict):
     tets: int
     points: int
     edge_length_mm: float | None  # None: there is no mesh
-    epsilon_mm: float | None
+    epsilon_mm: float | None  # of the cluster with the largest one
     epsilon_reason: str
+    clusters: list[TetmeshCluster]
     labels: list[TetmeshLabel]
     air: TetmeshLabel | None
     quality: TetrahedronShape | None  # of all tissues, air left out
@@ -572,6 +585,18 @@ class Export(TypedDict):
     notes: list[str]
 
 
+class ShellRecord(TypedDict):
+    """An inner shell that was made of a body surface."""
+
+    name: str
+    thickness_mm: dict[str, float]  # min and max of what was asked for, after it was made gentle
+    gap_mm: float  # from the surface around it, exact
+    gap_xyz_mm: list[float]  # where that is
+    depth: dict[str, float]  # of points of the shell, as a share of the thickness there: min, median, p99, max
+    ends: list[dict[str, object]]  # parts of the surface around under which it ends: area_mm2, distance_mm, xyz_mm
+    dropped: list[dict[str, object]]  # separate pieces left out: volume_mm3, xyz_mm
+
+
 class Report(TypedDict):
     """The whole report; `run` is the only part that may differ between two runs on the same input."""
 
@@ -589,5 +614,6 @@ class Report(TypedDict):
     tetmesh: NotRequired[Tetmesh]
     breathe: NotRequired[Breathe]
     clearance: NotRequired[Clearance]
+    shells: NotRequired[list[ShellRecord]]
     export: NotRequired[Export]
     pipeline: NotRequired[PipelineSection]

@@ -166,6 +166,7 @@ DEFINITIONS = {
     "tetmesh_label": measures.TetmeshLabel,
     "tetmesh_interface": measures.TetmeshInterface,
     "tetmesh_attempt": measures.TetmeshAttempt,
+    "tetmesh_cluster": measures.TetmeshCluster,
     "tetmesh_overlap": measures.TetmeshOverlap,
     "tetmesh_input": measures.TetmeshInput,
     "tetmesh": measures.Tetmesh,
@@ -184,6 +185,7 @@ def test_the_report_is_valid_and_every_fixed_key_is_required(nested):
         "label_boundary": mesh["labels"][0]["boundary"],
         "tetmesh_interface": mesh["interfaces"][0],
         "tetmesh_attempt": mesh["attempts"][0],
+        "tetmesh_cluster": mesh["clusters"][0],
         "tetmesh_input": mesh["input"],
     }
     for name, record in parts.items():
@@ -315,7 +317,8 @@ def test_a_crossing_model_comes_back_as_surfaces_that_pass_the_gate(tmp_path, ca
             assert volume == pytest.approx(record["volume_mm3"], rel=0.1)
     # A gap that can't be had is told, and the command does not pass.
     sheets = write(tmp_path / "sheets", a=box((0, 0, 0), (10, 10, 1)), b=box((0, 0, 1), (10, 10, 1.4)))
-    code, report = run(sheets, "-o", tmp_path / "thin", "--surface-gap", "30")
+    code, report = run(sheets, "-o", tmp_path / "thin", "--surface-gap", "30", "--epsilon", "0.05")
+    assert all(abs(record["volume_error"]) < 0.01 for record in report["tetmesh"]["labels"])
     assert code in (1, 3) and any("do not pass the gate" in note for note in report["tetmesh"]["notes"])
 
 
@@ -334,9 +337,9 @@ def test_with_air(tmp_path):
     assert {(face["a"], face["b"]) for face in report["tetmesh"]["interfaces"]} == {("air", ""), ("ball", "air")}
 
 
-def planted(monkeypatch, target):
+def planted(monkeypatch, target, module="process_targets"):
     known = dict(engines.ENGINES)
-    known["tetwild-volume"] = replace(known["tetwild-volume"], target=f"process_targets:{target}")
+    known["tetwild-volume"] = replace(known["tetwild-volume"], target=f"{module}:{target}")
     monkeypatch.setattr(engines, "ENGINES", known)
 
 
@@ -374,13 +377,91 @@ def test_an_engine_that_hangs_or_crashes(tmp_path, monkeypatch, target, reason):
     assert report["tissues"][0]["status"] == "failed" and reason in report["tissues"][0]["reason"]
     assert "F012" in codes(report) and not report["summary"]["passed"]
     attempts = report["tetmesh"]["attempts"]
-    # What can't succeed is not tried again.
-    assert len(attempts) == (1 if reason == "error: " else 2)
+    # What can't succeed is not tried again, and a crash twice, with something else asked each time.
+    assert len(attempts) == {"error: ": 1, "timeout": 2, "crash: ": 3}[reason]
+    asked = {(attempt["edge_length_mm"], attempt["epsilon_mm"]) for attempt in attempts}
+    assert len(asked) == len(attempts)
     assert not report["tetmesh"]["files"] and report["tetmesh"]["quality"] is None
     jsonschema.Draft202012Validator(schema()).validate(report)
     assert children_left() == []
     assert sorted(path.name for path in tmp_path.iterdir()) == ["model", "out"] and model.is_dir()
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["report.json"]
+
+
+@needs_proc
+def test_a_cluster_that_fails_and_the_others(tmp_path, monkeypatch):
+    """Two balls that stand apart, one with a core, a box that makes the engine crash, and one that makes it hang."""
+    planted(monkeypatch, "mesh_small_surfaces_only")
+    model = write(
+        tmp_path / "model",
+        hangs=moved(sphere(10), (0, 60, 0)),
+        core=sphere(3, (40, 40, 40)),
+        crashes=moved(box(), (0, -30, 0)),
+        shell=sphere(8, (40, 40, 40)),
+        alone=sphere(8),
+    )
+    out = tmp_path / "out"
+    code, report = run(model, "-o", out, "--time-limit", 4, "--edge-length", 8, "--jobs", 2)
+    assert code == 3 and not report["summary"]["passed"]
+    mesh = report["tetmesh"]
+    assert [cluster["tissues"] for cluster in mesh["clusters"]] == [
+        ["alone"],
+        ["core", "shell"],
+        ["crashes"],
+        ["hangs"],
+    ]
+    failures = [cluster["failure"].partition(":")[0] for cluster in mesh["clusters"]]
+    assert failures == ["", "", "crash", "timeout"]
+    reasons = {record["name"]: record["reason"].partition(":")[0] for record in report["tissues"]}
+    assert reasons == {"alone": "", "core": "", "shell": "", "crashes": "crash", "hangs": "timeout"}
+    assert {finding["tissues"][0] for finding in report["findings"] if finding["rule"] == "F012"} == {
+        "crashes",
+        "hangs",
+    }
+    assert [attempt["cluster"] for attempt in mesh["attempts"]] == [1, 2, 3, 3, 3, 4]
+    # What is delivered is as good as if it were all.
+    assert {record["name"]: record["label"] for record in mesh["labels"]} == {"alone": 1, "core": 2, "shell": 3}
+    assert all(abs(record["volume_error"]) < 0.01 and record["parts"] == 1 for record in mesh["labels"])
+    assert mesh["conforming"] and {(face["a"], face["b"]) for face in mesh["interfaces"]} == {
+        ("alone", ""), ("core", "shell"), ("shell", "")
+    }  # fmt: skip
+    points, tetrahedra, labels = read_vtu(out / "model.vtu")
+    assert len(np.unique(tetrahedra)) == len(points) and set(labels) == {1, 2, 3}
+    assert "3 clusters" not in render(report, "table") and "4 clusters" in render(report, "table")
+    jsonschema.Draft202012Validator(schema()).validate(report)
+    assert children_left() == []
+
+
+def test_the_number_of_jobs_changes_nothing(tmp_path, monkeypatch):
+    planted(monkeypatch, "mesh_by_delaunay", "tetmesh_targets")
+    places = {"one": (0, 0, 0), "three": (0, 40, 0), "two": (40, 0, 0)}
+    sizes = {"one": 4, "three": 8, "two": 6}
+    model = write(tmp_path / "model", **{name: sphere(sizes[name], place) for name, place in places.items()})
+    made = {}
+    for jobs in (1, 3):
+        out = tmp_path / str(jobs)
+        _, report = run(model, "-o", out, "--no-fit", "--jobs", jobs)
+        assert len(report["tetmesh"]["clusters"]) == 3 and report["tetmesh"]["conforming"]
+        made[jobs] = {**report, "run": None}, (out / "model.vtu").read_bytes()
+    assert made[1] == made[3]
+    for record in made[1][0]["tetmesh"]["labels"]:
+        assert record["volume_mm3"] == pytest.approx(record["surface_volume_mm3"], rel=0.05)
+
+
+@pytest.mark.slow
+def test_the_limit_holds_for_all_clusters_together(tmp_path):
+    model = write(
+        tmp_path / "model", large=sphere(10, subdivisions=3), small=moved(sphere(5, subdivisions=3), (30, 0, 0))
+    )
+    asked = ("--edge-length", 1.5, "--attempts", 3, "--epsilon", 0.2)
+    _, report = run(model, "-o", tmp_path / "free", *asked)
+    free = report["tetmesh"]["tets"]
+    limit = free // 2
+    code, report = run(model, "-o", tmp_path / "out", *asked, "--max-tets", limit)
+    mesh = report["tetmesh"]
+    assert code == 0 and len(mesh["clusters"]) == 2
+    assert mesh["tets"] == sum(cluster["tets"] for cluster in mesh["clusters"]) <= limit
+    assert "M014" in codes(report) and len(mesh["relaxed"]) == 2
 
 
 @pytest.mark.slow

@@ -96,7 +96,7 @@ _LENGTH = click.FloatRange(min=0, min_open=True)
     "--attempts",
     type=click.IntRange(1, 10),
     metavar="N",
-    help="Calls of fTetWild at most, until limits and targets hold. [default: 2]",
+    help="Calls of fTetWild for a cluster at most, crashes apart, until limits and targets hold. [default: 2]",
 )
 @click.option("--time-limit", type=_LENGTH, metavar="S", help="Seconds for one call of fTetWild. [default: 3600]")
 @click.option("--memory", type=_LENGTH, metavar="GB", help="Memory for one call of fTetWild. [default: 8]")
@@ -134,9 +134,9 @@ def tetmesh(
 ) -> None:
     """Fill a model with tetrahedra: one conforming mesh in which each tetrahedron carries its tissue.
 
-    Neighbouring and nested tissues share faces; of tissues within each other the inner one counts. Surfaces with
-    defects are meshed as well as they can be, and the report says where that was a guess. The mesh comes from
-    fTetWild, which gives a slightly different one each time.
+    Neighbouring and nested tissues share faces; of tissues within each other the inner one counts. Tissues that stand
+    apart are meshed by themselves, several at a time. Surfaces with defects are meshed as well as they can be, and the
+    report says where that was a guess. The mesh comes from fTetWild, which gives a slightly different one each time.
 
     Exit code: 0 the mesh passed, 1 errors, 2 wrong usage or nothing readable, 3 a tissue could not be processed.
     """

@@ -6,8 +6,8 @@ import json
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 from vhp_cli import formats
@@ -24,9 +24,9 @@ from vhp_cli.pipeline.output import REPORT, refuse_overlap, sole_writer
 from vhp_cli.pipeline.tetmesh_input import read_tissues, relations_of
 from vhp_cli.pipeline.tetmesh_report import MeshedPart, tetmesh_report
 from vhp_cli.pipeline.tetmesh_surfaces import Apart, SetApart, set_apart
-from vhp_cli.processes import CallFailed, stop_all
+from vhp_cli.processes import CallFailed
 from vhp_cli.stages.tetmesh.keep_surface import installed_engine
-from vhp_cli.stages.tetmesh.meshing import Meshed, NotMeshed, mesh_tissues
+from vhp_cli.stages.tetmesh.modelling import Meshed, in_threads, mesh_model
 from vhp_cli.stages.tetmesh.options import ANY_ENGINE, TetmeshOptions
 from vhp_cli.stages.tetmesh.surfaces import tissue_surfaces
 from vhp_cli.stages.tetmesh.tissues import Relations, Tissue
@@ -35,6 +35,8 @@ WHOLE = "model"
 SURFACES = "surfaces"
 # Gaps are measured at least so far: the envelope depends on the smallest one.
 _GAP_SEARCH_MM = 1.0
+# And so many envelopes.
+_GAP_SEARCH = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +174,8 @@ def run_tetmesh(
     if job.options.keep_surface is not None:
         installed_engine(None if job.options.keep_surface == ANY_ENGINE else job.options.keep_surface)
     threads = jobs or available_cores()
-    search = max(settings.gap_search_mm or 0.0, _GAP_SEARCH_MM)
+    # Whether envelopes could close a gap between tissues has to be known.
+    search = max(settings.gap_search_mm or 0.0, _GAP_SEARCH_MM, _GAP_SEARCH * (job.options.epsilon_mm or 0.0))
     before = check_model(
         model,
         replace(settings, gap_search_mm=search),
@@ -227,27 +230,14 @@ def _one_by_one(
     progress: Progress | None,
 ) -> list[MeshedPart]:
     """Mesh each tissue by itself, several at a time, the largest first."""
-    order = sorted(range(len(tissues)), key=lambda index: -len(tissues[index].mesh.faces))
-    parts: dict[int, MeshedPart] = {}
-    with ThreadPoolExecutor(threads) as executor:
-        try:
-            futures = {}
-            for index in order:
-                tissue = tissues[index]
-                own = replace(job, options=job.options_of(tissue.name))
-                # Its edge length is that of its whole mesh.
-                alone = [replace(tissue, edge_length=None)]
-                arguments = (alone, Relations(), out, own, tissue.name, files[tissue.name], 1, None)
-                futures[executor.submit(_one, *arguments)] = index
-            for done, future in enumerate(as_completed(futures), start=1):
-                parts[futures[future]] = future.result()
-                if progress:
-                    progress("tetmesh", done, len(futures))
-        except BaseException:
-            executor.shutdown(wait=False, cancel_futures=True)
-            stop_all()
-            raise
-    return [parts[index] for index in range(len(tissues))]
+    calls = []
+    for tissue in tissues:
+        own = replace(job, options=job.options_of(tissue.name))
+        # Its edge length is that of its whole mesh.
+        alone = [replace(tissue, edge_length=None)]
+        calls.append(partial(_one, alone, Relations(), out, own, tissue.name, files[tissue.name], 1, None))
+    sizes = [len(tissue.mesh.faces) for tissue in tissues]
+    return in_threads(calls, sizes, threads, None if progress is None else partial(progress, "tetmesh"))
 
 
 def _one(
@@ -264,20 +254,19 @@ def _one(
     started = time.perf_counter()
     written: list[str] = []
     meshed: Meshed | None = None
-    attempts, seconds, failure = [], {}, ""
+    failures: dict[tuple[str, ...], str] = {}
+    seconds: dict[str, float] = {}
     surface_files: dict[str, str] = {}
     shared: dict[str, Mesh] = {}
     notes: list[str] = []
     try:
         if not tissues:
             raise CallFailed("error", "no tissue of the model can be meshed")
-        meshed = mesh_tissues(tissues, relations, job.options, threads=threads, progress=progress)
-        attempts, seconds = meshed.attempts, dict(meshed.seconds)
-    except NotMeshed as error:
-        attempts, seconds, failure = error.attempts, error.seconds, f"{error.reason}: {error.detail}"
+        meshed = mesh_model(tissues, relations, job.options, threads=threads, progress=progress)
+        seconds, failures = dict(meshed.seconds), meshed.failures
     except CallFailed as error:
-        failure = f"{error.reason}: {error.detail}"
-    if meshed is not None and len(meshed.mesh.tetrahedra):
+        failures[tuple(tissue.name for tissue in tissues)] = f"{error.reason}: {error.detail}"
+    if meshed is not None and meshed.mesh is not None and len(meshed.mesh.tetrahedra):
         moment = time.perf_counter()
         for file, form in zip(files, job.forms, strict=True):
             _make_directory((out / file).parent)
@@ -295,7 +284,7 @@ def _one(
                 formats.write_mesh(out / file, mesh)
         seconds["write"] = round(time.perf_counter() - moment, 4)
     seconds["total"] = round(time.perf_counter() - started, 4)
-    return MeshedPart(name, meshed, attempts, failure, written, surface_files, notes, seconds, shared)
+    return MeshedPart(name, meshed, failures, written, surface_files, notes, seconds, shared)
 
 
 def _apart(

@@ -88,7 +88,14 @@ def relations_of(report: Report) -> Relations:
     """Return how the tissues of a checked model lie to each other."""
     containers: dict[str, set[str]] = {}
     overlaps: dict[tuple[str, str], float] = {}
-    gaps, distances = [], []
+    gaps: dict[tuple[str, str], float] = {}
+    distances: dict[tuple[str, str], float] = {}
+    # Of a pair that could not be checked, nothing is known.
+    contacts = {
+        (finding["tissues"][0], finding["tissues"][1])
+        for finding in report["findings"]
+        if finding["rule"] == "F012" and len(finding["tissues"]) == 2
+    }
     for pair in report["pairs"]:
         a, b = pair["a"], pair["b"]
         if pair["inside"]:
@@ -96,9 +103,11 @@ def relations_of(report: Report) -> Relations:
             containers.setdefault(inner, set()).add(outer)
         elif pair["relation"] in ("crossing", "identical"):
             overlaps[a, b] = pair["overlap_mm3"]
+        if pair["relation"] == "touching" or pair["undecided"]:
+            contacts.add((a, b))
         if pair["min_gap_mm"] and pair["relation"] in ("a_inside_b", "b_inside_a"):
-            gaps.append(pair["min_gap_mm"])
+            gaps[a, b] = pair["min_gap_mm"]
         elif pair["min_gap_mm"] and pair["relation"] == "disjoint":
-            distances.append(pair["min_gap_mm"])
+            distances[a, b] = pair["min_gap_mm"]
     inside = {name: frozenset(found) for name, found in containers.items()}
-    return Relations(inside, overlaps, min(gaps, default=None), min(distances, default=None))
+    return Relations(inside, overlaps, gaps, distances, frozenset(contacts))

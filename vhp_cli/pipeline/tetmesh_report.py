@@ -18,16 +18,19 @@ from vhp_cli.measures import (
     Report,
     Tetmesh,
     TetmeshAttempt,
+    TetmeshCluster,
     TetmeshInput,
     TetmeshLabel,
     TetmeshOverlap,
+    TetrahedronShape,
     TissueRecord,
 )
 from vhp_cli.mesh import Mesh
 from vhp_cli.pipeline.check import with_findings
 from vhp_cli.stages.tetmesh.measuring import shape
-from vhp_cli.stages.tetmesh.meshing import ENVELOPE_ENGINE, Meshed
-from vhp_cli.volume import BACKGROUND
+from vhp_cli.stages.tetmesh.meshing import ENVELOPE_ENGINE
+from vhp_cli.stages.tetmesh.modelling import Meshed
+from vhp_cli.volume import BACKGROUND, Labels
 
 # What a file that can't be read, or says too little, leaves of a tissue.
 _UNREAD = ("F001", "F005", "F012")
@@ -42,11 +45,9 @@ class MeshedPart:
     name
         The tissue; empty for all together.
     meshed
-        The mesh; None: there is none.
-    attempts
-        All attempts at it.
-    failure
-        Why there is none.
+        The mesh, as far as there is one; None: nothing could be tried.
+    failures
+        Why tissues have no mesh, by their names.
     files
         What was written, below the output directory.
     surface_files
@@ -61,8 +62,7 @@ class MeshedPart:
 
     name: str
     meshed: Meshed | None
-    attempts: list[TetmeshAttempt]
-    failure: str
+    failures: Mapping[tuple[str, ...], str]
     files: list[str]
     surface_files: dict[str, str]
     notes: list[str]
@@ -103,10 +103,11 @@ def tetmesh_report(
     findings = [finding for finding in before["findings"] if finding["rule"].startswith("F")]
     findings += tetmesh_findings(mesh, places, settings)
     for part in parts:
-        if part.failure:
-            concerned = [part.name] if part.name else []
-            findings += findings_of(settings, concerned, [("F012", 1, f"no mesh: {part.failure}", [])])
-    reasons = _reasons(before, parts, per_tissue=per_tissue)
+        for concerned, failure in part.failures.items():
+            # What is wrong with all of them is a finding on the model.
+            listed = [] if not part.name and len(part.failures) == 1 and not _has_mesh(part) else list(concerned)
+            findings += findings_of(settings, listed, [("F012", 1, f"no mesh: {failure}", [])])
+    reasons = _reasons(before, parts)
     kept = {label["name"] for label in mesh["labels"] if label["tets"]}
     tissues: list[TissueRecord] = []
     for record in before["tissues"]:
@@ -127,56 +128,69 @@ def tetmesh_report(
 
 
 def _tetmesh(before: Report, parts: Sequence[MeshedPart], *, per_tissue: bool) -> tuple[Tetmesh, dict[str, Places]]:
-    made = [(part, part.meshed) for part in parts if part.meshed is not None]
+    tried = [(part, part.meshed) for part in parts if part.meshed is not None]
+    made = [
+        (part, meshed, meshed.mesh, meshed.measured)
+        for part, meshed in tried
+        if meshed.mesh is not None and meshed.measured is not None
+    ]
     labels: list[TetmeshLabel] = []
     places: dict[str, Places] = {}
     nonconforming: Counter[str] = Counter()
-    for part, meshed in made:
-        for label in meshed.measured.labels:
-            places[label["name"]] = meshed.measured.places[label["label"]]
+    for part, _, _, measured in made:
+        for label in measured.labels:
+            places[label["name"]] = measured.places[label["label"]]
             record = label.copy()
             if per_tissue and part.files:
                 record["file"] = part.files[0]
             if label["name"] in part.surface_files:
                 record["surface_file"] = part.surface_files[label["name"]]
             labels.append(record)
-        nonconforming.update(meshed.measured.nonconforming)
-    first = made[0][1] if made else None
-    engine = ENGINES[first.engine if first else ENVELOPE_ENGINE]
+        nonconforming.update(measured.nonconforming)
+    clusters: list[TetmeshCluster] = []
+    attempts: list[TetmeshAttempt] = []
+    for _, meshed in tried:
+        attempts += [{**attempt, "cluster": len(clusters) + attempt["cluster"]} for attempt in meshed.attempts]
+        clusters += meshed.clusters
+    with_mesh = [cluster for cluster in clusters if not cluster["failure"]]
+    widest = max(with_mesh, key=lambda cluster: cluster["epsilon_mm"], default=None)
+    engine = ENGINES[tried[0][1].engine if tried else ENVELOPE_ENGINE]
     mesh: Tetmesh = {
         "engine": f"{engine.distribution} {engine.version}",
         "reproducible": engine.deterministic,
         "per_tissue": per_tissue,
         "tets": sum(label["tets"] for label in labels),
-        "points": sum(len(meshed.mesh.points) for _, meshed in made),
-        "edge_length_mm": first.request.edge_length_mm if first else None,
-        "epsilon_mm": first.request.epsilon_mm if first else None,
-        "epsilon_reason": first.epsilon_reason if first else "",
+        "points": sum(len(mesh.points) for _, _, mesh, _ in made),
+        "edge_length_mm": max((cluster["edge_length_mm"] for cluster in with_mesh), default=None),
+        "epsilon_mm": widest["epsilon_mm"] if widest else None,
+        "epsilon_reason": widest["epsilon_reason"] if widest else "",
+        "clusters": clusters,
         "labels": labels,
-        "air": first.measured.air if first else None,
-        "quality": shape(*_all_tetrahedra([meshed for _, meshed in made])) if made else None,
+        "air": made[0][3].air if made else None,
+        "quality": _shape([measured.tetrahedra for *_, measured in made], [mesh.labels for _, _, mesh, _ in made]),
         "conforming": bool(made) and not nonconforming,
         "nonconforming": dict(nonconforming),
-        "interfaces": [face for _, meshed in made for face in meshed.measured.interfaces],
-        "attempts": [attempt for part in parts for attempt in part.attempts],
-        "overlaps": _overlaps(before, first.order if first else ()) if not per_tissue else [],
+        "interfaces": [face for *_, measured in made for face in measured.interfaces],
+        "attempts": attempts,
+        "overlaps": _overlaps(before, made[0][1].order) if made and not per_tissue else [],
         "notes": [
-            *(f"{part.name}: {note}".removeprefix(": ") for part, meshed in made for note in meshed.notes),
+            *(f"{part.name}: {note}".removeprefix(": ") for part, meshed in tried for note in meshed.notes),
             *(note for part in parts for note in part.notes),
         ],
-        "relaxed": _relaxed(parts),
+        "relaxed": _relaxed(clusters, attempts, [note for _, meshed in tried for note in meshed.shortfalls]),
         "files": [file for part in parts for file in (*part.files, *part.surface_files.values())],
         "input": _input(before),
     }
     return mesh, places
 
 
-def _all_tetrahedra(meshes: Sequence[Meshed]) -> tuple[TetrahedronQuality, np.ndarray]:
-    """Return the measures of the tetrahedra of all meshes, and which of them belong to a tissue."""
-    found = [meshed.measured.tetrahedra for meshed in meshes]
+def _shape(found: Sequence[TetrahedronQuality], labels: Sequence[Labels]) -> TetrahedronShape | None:
+    """Return the shape of the tetrahedra of all meshes that belong to a tissue."""
+    if not found:
+        return None
     columns = TetrahedronQuality.__dataclass_fields__
     joined = TetrahedronQuality(*(np.concatenate([getattr(one, column) for one in found]) for column in columns))
-    return joined, np.concatenate([meshed.mesh.labels != BACKGROUND for meshed in meshes])
+    return shape(joined, np.concatenate(labels) != BACKGROUND)
 
 
 def _overlaps(before: Report, order: Sequence[str]) -> list[TetmeshOverlap]:
@@ -193,20 +207,24 @@ def _overlaps(before: Report, order: Sequence[str]) -> list[TetmeshOverlap]:
     ]
 
 
-def _relaxed(parts: Sequence[MeshedPart]) -> list[str]:
+def _relaxed(
+    clusters: Sequence[TetmeshCluster], attempts: Sequence[TetmeshAttempt], shortfalls: Sequence[str]
+) -> list[str]:
     """Return how the chosen meshes were made otherwise than asked for."""
     told = []
-    for part in parts:
-        if not part.attempts or part.meshed is None:
+    for number, cluster in enumerate(clusters, start=1):
+        if cluster["failure"]:
             continue
-        prefix = f"{part.name}: " if part.name else ""
-        asked, chosen = part.attempts[0], next(attempt for attempt in part.attempts if attempt["chosen"])
+        names = cluster["tissues"]
+        more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        prefix = f"{names[0]}{more}: " if len(clusters) > 1 else ""
+        own = [attempt for attempt in attempts if attempt["cluster"] == number]
+        asked, chosen = own[0], next(attempt for attempt in own if attempt["chosen"])
         if chosen["edge_length_mm"] > asked["edge_length_mm"]:
             told.append(f"{prefix}edges of {chosen['edge_length_mm']:.4g} mm, not {asked['edge_length_mm']:.4g}")
         if chosen["stop_energy"] > asked["stop_energy"]:
             told.append(f"{prefix}stop energy {chosen['stop_energy']:g}, not {asked['stop_energy']:g}")
-        told += [f"{prefix}{short}" for short in part.meshed.shortfalls]
-    return told
+    return told + list(shortfalls)
 
 
 def _input(before: Report) -> TetmeshInput:
@@ -223,7 +241,7 @@ def _input(before: Report) -> TetmeshInput:
     }
 
 
-def _reasons(before: Report, parts: Sequence[MeshedPart], *, per_tissue: bool) -> dict[str, str]:
+def _reasons(before: Report, parts: Sequence[MeshedPart]) -> dict[str, str]:
     """Return why tissues were not processed."""
     reasons = {}
     for finding in before["findings"]:
@@ -234,7 +252,11 @@ def _reasons(before: Report, parts: Sequence[MeshedPart], *, per_tissue: bool) -
             # Whatever the rules say of it.
             reasons.setdefault(record["name"], "no triangle to mesh from")
     for part in parts:
-        if part.failure:
-            concerned = [part.name] if per_tissue else [record["name"] for record in before["tissues"]]
-            reasons |= {name: part.failure for name in concerned if name not in reasons}
+        for names, failure in part.failures.items():
+            for name in names:
+                reasons.setdefault(name, failure)
     return reasons
+
+
+def _has_mesh(part: MeshedPart) -> bool:
+    return part.meshed is not None and part.meshed.mesh is not None

@@ -59,6 +59,12 @@ def tetmesh_lines(mesh: Tetmesh) -> list[str]:
             f"edges of {text.number(length)} mm asked; within {text.number(epsilon)} mm of the surfaces "
             f"({text.visible(mesh['epsilon_reason'])})"
         )
+    if len(clusters := mesh.get("clusters", [])) > 1 and not mesh["per_tissue"]:
+        failed = sum(bool(cluster["failure"]) for cluster in clusters)
+        lines.append(
+            f"{len(clusters)} clusters that stand apart, each meshed by itself"
+            + (f"; {failed} failed" if failed else "")
+        )
     if quality := mesh["quality"]:
         lines.append(
             f"dihedral angles {text.number(quality['min_dihedral_deg'])} to "

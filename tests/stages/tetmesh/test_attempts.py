@@ -31,11 +31,11 @@ def made(angle=12.0, ratio=0.4, errors=(0.0, 0.0), request=ASKED):
     ("mesh", "options", "changes"),
     [
         (made(), {}, None),
-        (made(angle=9.0), {}, {"stop_energy": 8.0}),
-        (made(ratio=0.3), {}, {"stop_energy": 8.0}),
+        (made(angle=9.0), {}, {"stop_energy": 8.0, "iterations": 160}),
+        (made(ratio=0.3), {}, {"stop_energy": 8.0, "iterations": 160}),
         (made(errors=(0.0, 0.03)), {}, {"epsilon_mm": 0.1}),
         (made(errors=(0.0, -1)), {}, {"epsilon_mm": 0.1}),
-        (made(errors=(0.0, -1), angle=9.0), {}, {"epsilon_mm": 0.1, "stop_energy": 8.0}),
+        (made(errors=(0.0, -1), angle=9.0), {}, {"epsilon_mm": 0.1, "stop_energy": 8.0, "iterations": 160}),
         (made(errors=(None, -1, *[0.0] * 20)), {}, None),
         # An envelope that was asked for stays.
         (made(errors=(0.0, -1)), {"epsilon_mm": 0.2}, None),
@@ -66,10 +66,18 @@ def test_the_better_mesh():
 
 
 def test_after_a_failure():
-    assert after_failure(ASKED, CallFailed("error", "")) is None
-    assert after_failure(ASKED, CallFailed("crash", "")) == ASKED
-    draft = after_failure(ASKED, CallFailed("timeout", ""))
-    assert draft == Request(7.5, 0.2, 30.0, 20, False) == after_failure(ASKED, CallFailed("memory", ""))
+    assert after_failure(ASKED, CallFailed("error", ""), 0) is None
+    draft = after_failure(ASKED, CallFailed("timeout", ""), 0)
+    assert draft == Request(7.5, 0.2, 30.0, 10, False) == after_failure(ASKED, CallFailed("memory", ""), 0)
+
+
+def test_after_a_crash_something_else_is_asked_within_the_same_envelope():
+    crash = CallFailed("crash", "")
+    second = after_failure(ASKED, crash, 1)
+    assert second == replace(ASKED, epsilon_mm=pytest.approx(0.18))
+    third = after_failure(second, crash, 2)
+    assert third == replace(ASKED, epsilon_mm=pytest.approx(0.162), edge_length_mm=pytest.approx(4.5))
+    assert after_failure(third, crash, 3) is None
 
 
 def test_a_better_mesh_may_take_twice_as_long():

@@ -8,7 +8,7 @@ from shapes import sphere
 
 from vhp_cli import engines
 from vhp_cli.stages.tetmesh.keep_surface import keep_surface
-from vhp_cli.stages.tetmesh.meshing import mesh_tissues
+from vhp_cli.stages.tetmesh.modelling import mesh_model
 from vhp_cli.stages.tetmesh.options import TetmeshOptions
 from vhp_cli.stages.tetmesh.tissues import Relations, Tissue
 from vhp_cli.volume import VolumeMesh
@@ -113,7 +113,7 @@ def test_the_mesh_of_the_default_route():
         Tissue(name, surface, 4 / 3 * np.pi * radius**3)
         for name, surface, radius in zip(NAMES, (core, shell), (INNER_RADIUS, OUTER_RADIUS), strict=True)
     ]
-    relations = Relations({"core": frozenset({"shell"})}, {}, OUTER_RADIUS - INNER_RADIUS)
-    made = mesh_tissues(tissues, relations, TetmeshOptions(edge_length="1.2", time_limit_s=100))
+    relations = Relations({"core": frozenset({"shell"})}, {}, {("core", "shell"): OUTER_RADIUS - INNER_RADIUS})
+    made = mesh_model(tissues, relations, TetmeshOptions(edge_length="1.2", time_limit_s=100))
     assert made.mesh.names == NAMES
     check(made.mesh)

@@ -50,36 +50,40 @@ def test_air():
         TetmeshOptions(air="1,1,1,0,2,2")
 
 
+def chosen_envelope(found, *others, **named):
+    return envelope(found, [wall_thickness(tissue) for tissue in found], *others, **named)
+
+
 def test_the_envelope_is_below_half_of_what_is_thin():
-    found, surfaces = tissues(box((0, 0, 0), (1000, 1000, 1000)))
-    assert envelope(found, surfaces, None, diagonal(found))[0] == 0.25
-    chosen, reason = envelope(found, surfaces, 0.3, diagonal(found))
+    found, _ = tissues(box((0, 0, 0), (1000, 1000, 1000)))
+    assert chosen_envelope(found, None, diagonal(found)).mm == 0.25
+    chosen, reason = chosen_envelope(found, 0.3, diagonal(found))
     assert chosen == pytest.approx(0.12) and "gap" in reason
-    plate, plate_tree = tissues(box((0, 0, 0), (1000, 1000, 1000)), box((0, 0, 2000), (1000, 1000, 2000.4)))
-    chosen, reason = envelope(plate, plate_tree, None, diagonal(plate))
+    plate, _ = tissues(box((0, 0, 0), (1000, 1000, 1000)), box((0, 0, 2000), (1000, 1000, 2000.4)))
+    chosen, reason = chosen_envelope(plate, None, diagonal(plate))
     assert chosen == pytest.approx(0.16, rel=0.01) and "walls of 1" in reason
     # A part of the diagonal, at most; and not so small that nothing comes of it.
-    small, small_tree = tissues(sphere(10, subdivisions=3))
-    assert envelope(small, small_tree, None, 30.0)[0] == pytest.approx(0.03)
-    chosen, reason = envelope(found, surfaces, 1e-6, 1000.0)
+    small, _ = tissues(sphere(10, subdivisions=3))
+    assert chosen_envelope(small, None, 30.0).mm == pytest.approx(0.03)
+    chosen, reason = chosen_envelope(small, None, 1000.0, own_diagonal_mm=30.0)
+    assert chosen == pytest.approx(0.15) and "of these tissues" in reason
+    chosen, reason = chosen_envelope(found, 1e-6, 1000.0)
     assert chosen == pytest.approx(0.02) and "least" in reason
     # Tissues that lie beside each other are kept apart where that does not cost too much.
-    chosen, reason = envelope(found, surfaces, None, diagonal(found), 0.5)
+    chosen, reason = chosen_envelope(found, None, diagonal(found), 0.5)
     assert chosen == pytest.approx(0.2) and "distance" in reason
-    chosen, reason = envelope(found, surfaces, None, diagonal(found), 0.01)
+    chosen, reason = chosen_envelope(found, None, diagonal(found), 0.01)
     assert chosen == 0.25 and "may touch" in reason
-    assert envelope(found, surfaces, None, diagonal(found), 0.7)[0] == 0.25
+    assert chosen_envelope(found, None, diagonal(found), 0.7).mm == 0.25
 
 
 def test_walls():
     shell = joined(sphere(10, subdivisions=4), flipped(sphere(9, subdivisions=4)))
-    found, (tree,) = tissues(shell)
-    assert wall_thickness(found[0], tree) == pytest.approx(1.0, abs=0.05)
+    assert wall_thickness(Tissue("x", shell, 1.0)) == pytest.approx(1.0, abs=0.05)
     opened = Mesh(shell.vertices, shell.faces[20:])
-    found, (tree,) = tissues(opened)
-    assert wall_thickness(found[0], tree) == pytest.approx(1.0, abs=0.05)
+    assert wall_thickness(Tissue("x", opened, None)) == pytest.approx(1.0, abs=0.05)
     inward = Tissue("x", flipped(sphere(10, subdivisions=3)), -1.0)
-    assert wall_thickness(inward, trees([inward])[0]) == pytest.approx(19.8, rel=0.02)
+    assert wall_thickness(inward) == pytest.approx(19.8, rel=0.02)
 
 
 def test_no_field_where_all_edges_are_alike():

@@ -14,14 +14,18 @@ from vhp_cli.volume import BACKGROUND, VolumeMesh
 
 # What is asked of the engine when it ran out of time or memory.
 _DRAFT_ENERGY = 30.0
-_DRAFT_ITERATIONS = 20
+_DRAFT_ITERATIONS = 10
 _DRAFT_EDGE = 1.5
 # And when its mesh was not good enough; below 7 it may not end.
 _FINE_ENERGY = 8.0
 _FINE_EPSILON = 0.5
+_FINE_ITERATIONS = 2
 # How long it may take to better a mesh, in times that the mesh took.
 _PATIENCE = 2.0
 _LEAST_PATIENCE_S = 30.0
+# Crashes depend on the engine's random numbers and on single coordinates: another envelope, then other edges, too.
+_CRASHES = 3
+_OTHER = 0.9
 # Of the number of tetrahedra allowed, how many are aimed at.
 _AIM = 0.9
 # So much may volumes be off, of so many labels at least.
@@ -83,6 +87,7 @@ class Made:
 def record_of(tissues: Sequence[Tissue], request: Request) -> TetmeshAttempt:
     """Return what the report says of an attempt before it was made."""
     return {
+        "cluster": 1,
         "tissue": tissues[0].name if len(tissues) == 1 else "",
         "edge_length_mm": request.edge_length_mm,
         "epsilon_mm": request.epsilon_mm,
@@ -117,16 +122,34 @@ def after_mesh(made: Made, options: TetmeshOptions) -> Request | None:
     if made.targets_met(options) == 2 and not closer:
         return None
     epsilon = _FINE_EPSILON * request.epsilon_mm if closer else request.epsilon_mm
-    finer = request.stop_energy if made.targets_met(options) == 2 else min(request.stop_energy, _FINE_ENERGY)
-    return replace(request, epsilon_mm=epsilon, stop_energy=finer)
+    if made.targets_met(options) == 2:
+        return replace(request, epsilon_mm=epsilon)
+    return replace(
+        request,
+        epsilon_mm=epsilon,
+        stop_energy=min(request.stop_energy, _FINE_ENERGY),
+        iterations=_FINE_ITERATIONS * request.iterations,
+    )
 
 
-def after_failure(request: Request, failed: CallFailed) -> Request | None:
-    """Return what to try after a failure; None if it would come again."""
-    if failed.reason == "error":
+def after_failure(request: Request, failed: CallFailed, crashes: int) -> Request | None:
+    """Return what to try after a failure; None if it would come again.
+
+    Parameters
+    ----------
+    request
+        What failed.
+    failed
+        How it failed.
+    crashes
+        How often the engine has crashed by now.
+    """
+    if failed.reason == "error" or crashes >= _CRASHES:
         return None
     if failed.reason == "crash":
-        return request
+        # A thinner envelope is within what was asked for; the same request may well crash again.
+        length = request.edge_length_mm if crashes < 2 else _OTHER * request.edge_length_mm
+        return replace(request, epsilon_mm=_OTHER * request.epsilon_mm, edge_length_mm=length)
     return replace(
         request,
         edge_length_mm=_DRAFT_EDGE * request.edge_length_mm,

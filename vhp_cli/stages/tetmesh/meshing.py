@@ -1,10 +1,10 @@
-"""The stage: surfaces in, one conforming, labelled tetrahedral mesh out."""
+"""Surfaces of tissues that are meshed together in, one conforming, labelled tetrahedral mesh out."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,11 +27,11 @@ from vhp_cli.stages.tetmesh.labelling import (
     smallest_containers,
 )
 from vhp_cli.stages.tetmesh.lightening import SHARE, lightened
-from vhp_cli.stages.tetmesh.measuring import Measured, Truth, measure_mesh, truths
+from vhp_cli.stages.tetmesh.measuring import Truth, measure_mesh, truths
 from vhp_cli.stages.tetmesh.options import ANY_ENGINE, TetmeshOptions, absolute_length
 from vhp_cli.stages.tetmesh.relaxing import Floor
-from vhp_cli.stages.tetmesh.sizing import SizingField, envelope, sizing_field
-from vhp_cli.stages.tetmesh.tissues import Box, Relations, Tissue, bounds, box_surface, diagonal, soup, trees
+from vhp_cli.stages.tetmesh.sizing import Envelope, SizingField, sizing_field
+from vhp_cli.stages.tetmesh.tissues import Box, Relations, Tissue, bounds, box_surface, soup, trees
 from vhp_cli.stages.tetmesh.watching import Progress, Watch
 from vhp_cli.volume import BACKGROUND, Points, Tetrahedra, VolumeMesh, volumes
 
@@ -40,64 +40,27 @@ ENVELOPE_ENGINE: engines.VolumeName = "tetwild-volume"
 _ABOVE_TARGET_DEG, _ABOVE_TARGET = 2.0, 1.03
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Meshed:
-    """A mesh of a model.
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """What tissues that are meshed together have from their model.
 
     Parameters
     ----------
-    mesh
-        The mesh, air only where it was asked for.
-    measured
-        What was measured on it.
-    request
-        What it was made with.
-    engine
-        Key of `vhp_cli.engines.ENGINES`.
-    epsilon_reason
-        What decided on the envelope.
-    attempts
-        All attempts, in order.
-    order
-        Names of the tissues in the order in which they were laid over each other.
-    seconds
-        How long each step took, all attempts together.
-    shortfalls
-        Limits that the mesh does not keep.
-    notes
-        What the engine's route has to tell.
+    diagonal_mm
+        Of the model: lengths may be a part of it.
+    edge_length_mm
+        How long edges are to be.
+    envelope
+        How far the mesh may lie from the surfaces.
     """
 
-    mesh: VolumeMesh
-    measured: Measured
-    request: Request
-    engine: engines.VolumeName
-    epsilon_reason: str
-    attempts: list[TetmeshAttempt]
-    order: tuple[str, ...]
-    seconds: dict[str, float]
-    shortfalls: tuple[str, ...]
-    notes: tuple[str, ...]
+    diagonal_mm: float
+    edge_length_mm: float
+    envelope: Envelope
 
 
-class NotMeshed(CallFailed):
-    """No attempt came to a mesh; `attempts` tells why."""
-
-    def __init__(self, failed: CallFailed, attempts: list[TetmeshAttempt], seconds: dict[str, float]) -> None:
-        super().__init__(failed.reason, failed.detail)
-        self.attempts = attempts
-        self.seconds = seconds
-
-
-def mesh_tissues(
-    tissues: Sequence[Tissue],
-    relations: Relations,
-    options: TetmeshOptions,
-    *,
-    threads: int = 1,
-    progress: Progress | None = None,
-) -> Meshed:
-    """Mesh the tissues of a model together.
+class Meshing:
+    """Attempts at one mesh of some tissues, one after the other.
 
     Parameters
     ----------
@@ -107,58 +70,130 @@ def mesh_tissues(
         How they lie to each other.
     options
         How to mesh.
+    frame
+        What they have from their model.
     threads
         How many to use.
     progress
         Called with step, number done and number in all.
 
+    Attributes
+    ----------
+    best
+        The best mesh so far; None: there is none.
+    failed
+        Why the last attempt that failed did so.
+    attempts, seconds
+        All attempts in order, and how long each step of them took.
+
     Raises
     ------
-    NotMeshed
-        If the engine gave no mesh in any attempt.
     VhpError
         If there is nothing to mesh, or the box of air does not hold the model.
     """
-    work = _Work(tissues, relations, options, threads, progress)
-    attempts: list[TetmeshAttempt] = []
-    best: Made | None = None
-    failed: CallFailed | None = None
-    request: Request | None = work.first_request()
-    while request is not None and len(attempts) < options.attempts:
-        record = record_of(tissues, request)
-        attempts.append(record)
+
+    def __init__(
+        self,
+        tissues: Sequence[Tissue],
+        relations: Relations,
+        options: TetmeshOptions,
+        frame: Frame,
+        *,
+        threads: int = 1,
+        progress: Progress | None = None,
+    ) -> None:
+        self._tissues = tissues
+        self._options = options
+        self._work = _Work(tissues, relations, options, frame, threads, progress)
+        self.best: Made | None = None
+        self.failed: CallFailed | None = None
+        self.attempts: list[TetmeshAttempt] = []
+        self._last: tuple[Request, Made | CallFailed] | None = None
+        self._calls = self._crashes = 0
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """How long each step took, all attempts together."""
+        return self._work.seconds
+
+    @property
+    def engine(self) -> engines.VolumeName:
+        """Key of `vhp_cli.engines.ENGINES`."""
+        return self._work.engine
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """Names of the tissues in the order in which they are laid over each other."""
+        return tuple(self._tissues[index].name for index in self._work.order)
+
+    @property
+    def truths(self) -> list[Truth]:
+        """What the surfaces say of each tissue."""
+        return self._work.truths
+
+    @property
+    def first_request(self) -> Request:
+        """What is asked of the engine first."""
+        return self._work.first_request()
+
+    @property
+    def epsilon_reason(self) -> str:
+        """What decided on the envelope of the best mesh."""
+        return self._work.reason_of(self.best.request if self.best else self.first_request)
+
+    def to_first_mesh(self) -> None:
+        """Try until there is a mesh, or no attempt is left."""
+        while self.best is None and self._attempted(self._options):
+            pass
+
+    def to_best_mesh(self, max_tets: int | None) -> None:
+        """Try until limits and targets hold, or no attempt is left.
+
+        Parameters
+        ----------
+        max_tets
+            Most tetrahedra, air left out.
+        """
+        options = replace(self._options, max_tets=max_tets)
+        while self._attempted(options):
+            pass
+
+    def _attempted(self, options: TetmeshOptions) -> bool:
+        """Make another attempt, if there is a use in it; crashes are not counted as such."""
+        request = self._next(options)
+        if request is None or self._calls >= options.attempts:
+            return False
+        record = record_of(self._tissues, request)
+        self.attempts.append(record)
+        self._calls += 1
         try:
-            made = work.one_mesh(request, limit_s(options, work.seconds, best is not None))
+            made = self._work.one_mesh(request, limit_s(options, self.seconds, self.best is not None))
         except CallFailed as failure:
             record["failure"] = f"{failure.reason}: {failure.detail}"
-            failed = failure
-            request = after_failure(request, failure)
-            continue
+            if failure.reason == "crash":
+                self._crashes += 1
+                self._calls -= 1
+            self.failed = failure
+            self._last = request, failure
+            return True
         record["tets"] = made.tets
         if made.measured.quality is not None:
             record["min_dihedral_deg"] = made.measured.quality["min_dihedral_deg"]
             record["radius_ratio_p01"] = made.measured.quality["radius_ratio_p01"]
-        if best is None or made.rank(options) > best.rank(options):
-            best = made
-            for earlier in attempts:
+        if self.best is None or made.rank(options) > self.best.rank(options):
+            self.best = made
+            for earlier in self.attempts:
                 earlier["chosen"] = earlier is record
-        request = None if work.keeps_surface else after_mesh(made, options)
-    if best is None:
-        assert failed is not None
-        raise NotMeshed(failed, attempts, work.seconds)
-    too_many = f"{best.tets:,} tetrahedra, at most {options.max_tets:,} asked" if best.exceeds(options) else ""
-    return Meshed(
-        best.mesh,
-        best.measured,
-        best.request,
-        work.engine,
-        work.reason_of(best.request),
-        attempts,
-        tuple(tissues[index].name for index in work.order),
-        work.seconds,
-        (too_many,) if too_many else (),
-        best.notes,
-    )
+        self._last = request, made
+        return True
+
+    def _next(self, options: TetmeshOptions) -> Request | None:
+        if self._last is None:
+            return self.first_request
+        request, outcome = self._last
+        if isinstance(outcome, CallFailed):
+            return after_failure(request, outcome, self._crashes)
+        return None if self._work.keeps_surface else after_mesh(outcome, options)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,11 +214,13 @@ class _Work:
         tissues: Sequence[Tissue],
         relations: Relations,
         options: TetmeshOptions,
+        frame: Frame,
         threads: int,
         progress: Progress | None,
     ) -> None:
         self._tissues = tissues
         self._options = options
+        self._frame = frame
         self._threads = threads
         self._progress = progress
         self.seconds: dict[str, float] = {}
@@ -194,24 +231,15 @@ class _Work:
         self._parents = smallest_containers(tissues, sizes, relations.containers)
         self._components: list[Component] = components_of(tissues)
         parts = expected_parts(tissues, self._components, self.order)
-        self._truths: list[Truth] = truths(tissues, sizes, relations, self.order, parts)
+        self.truths: list[Truth] = truths(tissues, sizes, relations, self.order, parts)
         self._goals = _goals(tissues, sizes, relations)
         self._box: Box | None = options.air_box(*bounds(tissues))
-        self._diagonal = diagonal(tissues)
-        self._asked_length = absolute_length(options.edge_length, self._diagonal)
         self._overlap = next(iter(relations.overlaps_mm3), ())
         self.keeps_surface = options.keep_surface is not None
         self.engine: engines.VolumeName = ENVELOPE_ENGINE
         if options.keep_surface is not None:
             self.engine = installed_engine(None if options.keep_surface == ANY_ENGINE else options.keep_surface)
-        self.epsilon_reason = "as asked"
-        self._epsilon = options.epsilon_mm or 0.0
-        if self.keeps_surface:
-            self._epsilon, self.epsilon_reason = 0.0, "the surfaces are kept as they are"
-        elif options.epsilon_mm is None:
-            self._epsilon, self.epsilon_reason = envelope(
-                tissues, self._trees, relations.smallest_gap_mm, self._diagonal, relations.smallest_distance_mm
-            )
+        self._epsilon = 0.0 if self.keeps_surface else frame.envelope.mm
         # Part of the envelope that the surfaces given to the mesher have used up.
         self._taken = 0.0
         self._soup = Mesh(np.empty((0, 3)), np.empty((0, 3), np.int32))
@@ -227,13 +255,16 @@ class _Work:
 
     def first_request(self) -> Request:
         options = self._options
-        return Request(self._asked_length, self._epsilon, options.stop_energy, options.iterations, options.coarsen)
+        return Request(
+            self._frame.edge_length_mm, self._epsilon, options.stop_energy, options.iterations, options.coarsen
+        )
 
     def reason_of(self, request: Request) -> str:
         """Return what decided on the envelope of a request."""
-        first = self.first_request().epsilon_mm
-        finer = f"; 1/{first / request.epsilon_mm:g} of that, as volumes were off" if request.epsilon_mm < first else ""
-        return self.epsilon_reason + finer
+        if self.keeps_surface:
+            return "the surfaces are kept as they are"
+        share = request.epsilon_mm / self._epsilon
+        return self._frame.envelope.reason + (f"; {share:.2g} of that in a later attempt" if share < 1 else "")
 
     def one_mesh(self, request: Request, time_limit_s: float) -> Made:
         """Make one attempt; `CallFailed` if the engine gives no mesh."""
@@ -262,7 +293,7 @@ class _Work:
         raw = VolumeMesh(points, tetrahedra, found.labels, tuple(tissue.name for tissue in self._tissues))
         made = self._kept(raw, found) if self.keeps_surface else finish(raw, found, self._finish(request), self._lap)
         started = time.perf_counter()
-        measured = measure_mesh(made.mesh, self._tissues, self._truths, made.enclosed_mm3, made.relabelled)
+        measured = measure_mesh(made.mesh, self._tissues, self.truths, made.enclosed_mm3, made.relabelled)
         self._lap("measure", started)
         return Made(made.mesh, measured, request, filled.notes)
 
@@ -300,7 +331,7 @@ class _Work:
         made = keep_surface(
             surfaces,
             engine=self.engine,  # type: ignore[arg-type]
-            edge_length_mm=self._asked_length,
+            edge_length_mm=self._frame.edge_length_mm,
             timeout_s=time_limit_s,
             memory_gb=self._options.memory_gb,
         )
@@ -329,9 +360,11 @@ class _Work:
 
     def _sizing(self, request: Request) -> SizingField | None:
         # Where edges had to become longer than asked, they do so in every tissue.
-        factor = request.edge_length_mm / self._asked_length
+        factor = request.edge_length_mm / self._frame.edge_length_mm
         lengths = [
-            None if tissue.edge_length is None else factor * absolute_length(tissue.edge_length, self._diagonal)
+            None
+            if tissue.edge_length is None
+            else factor * absolute_length(tissue.edge_length, self._frame.diagonal_mm)
             for tissue in self._tissues
         ]
         lower, upper = self._box or bounds(self._tissues)

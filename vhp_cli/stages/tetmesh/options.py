@@ -61,7 +61,8 @@ class TetmeshOptions(StageOptions):
     stop_energy
         AMIPS energy at which the engine is content; lower is better and slower.
     iterations
-        Most passes of the engine over the mesh.
+        Most passes of the engine over the mesh at first. What it has not bettered by then takes it long, and is mostly
+        a few tetrahedra that `vhp_cli.stages.tetmesh.relaxing` betters.
     coarsen
         Let the engine take out what it can at the same quality.
     fit
@@ -87,7 +88,7 @@ class TetmeshOptions(StageOptions):
     edge_length: str = DEFAULT_EDGE_LENGTH
     epsilon_mm: float | None = None
     stop_energy: float = 10.0
-    iterations: int = 80
+    iterations: int = 20
     coarsen: bool = False
     fit: bool = True
     max_tets: int | None = None

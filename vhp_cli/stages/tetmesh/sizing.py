@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,10 @@ SizingField = tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]
 _MOST_ENVELOPE_MM = 0.25
 _MOST_ENVELOPE = 1e-3
 _LEAST_ENVELOPE = 2e-5
+# The same in parts of the diagonal of tissues that are meshed by themselves.
+_MOST_OWN_ENVELOPE = 5e-3
 # Two surfaces that each move by less than half of the gap between them stay apart.
-_SHARE_OF_GAP = 0.4
+SHARE_OF_GAP = 0.4
 # To keep tissues apart that lie beside each other, the envelope becomes so many times as thin at most.
 _LEAST_FOR_DISTANCE = 0.5
 # Of each surface so many faces are sampled, and so many of the walls below them may be thinner than assumed.
@@ -30,19 +33,29 @@ _THIN_WALLS = 0.05
 _CELLS = 32
 
 
+class Envelope(NamedTuple):
+    """How far a mesh may lie from the surfaces, in mm, and what decided on that."""
+
+    mm: float
+    reason: str
+
+
 def envelope(
     tissues: Sequence[Tissue],
-    trees: Sequence[Tree],
+    walls_mm: Sequence[float | None],
     gap_mm: float | None,
     diagonal_mm: float,
     distance_mm: float | None = None,
-) -> tuple[float, str]:
+    own_diagonal_mm: float | None = None,
+) -> Envelope:
     """Choose how far the mesh may lie from the surfaces: below half of what keeps them apart.
 
     Parameters
     ----------
-    tissues, trees
-        The tissues and their surfaces.
+    tissues
+        The tissues.
+    walls_mm
+        How thick they are where they are thin; see `wall_thickness`.
     gap_mm
         The smallest gap between a tissue and one that lies in it: a layer of tissue. None: there is none.
     diagonal_mm
@@ -50,35 +63,35 @@ def envelope(
     distance_mm
         The smallest distance of tissues that lie apart; None: there is none. Where it is very small, they may touch in
         the mesh, which does less harm than a mesh as fine as that would.
-
-    Returns
-    -------
-    envelope_mm, reason
-        The distance, and what decided on it.
+    own_diagonal_mm
+        Of these tissues, if they are a part of the model.
     """
+    own = diagonal_mm if own_diagonal_mm is None else own_diagonal_mm
     choices = [
         (_MOST_ENVELOPE_MM, f"{_MOST_ENVELOPE_MM:g} mm, as nothing is thinner"),
         (_MOST_ENVELOPE * diagonal_mm, f"{_MOST_ENVELOPE:.1%} of the model's diagonal"),
+        (_MOST_OWN_ENVELOPE * own, f"{_MOST_OWN_ENVELOPE:.1%} of the diagonal of these tissues"),
     ]
     if gap_mm:
-        choices.append((_SHARE_OF_GAP * gap_mm, f"{_SHARE_OF_GAP:g} of the smallest gap, {gap_mm:.3g} mm"))
-    for tissue, tree in zip(tissues, trees, strict=True):
-        wall = wall_thickness(tissue, tree)
-        if wall:
-            choices.append((_SHARE_OF_GAP * wall, f"{_SHARE_OF_GAP:g} of the walls of {tissue.name}, {wall:.3g} mm"))
+        choices.append((SHARE_OF_GAP * gap_mm, f"{SHARE_OF_GAP:g} of the smallest gap, {gap_mm:.3g} mm"))
+    choices += [
+        (SHARE_OF_GAP * wall, f"{SHARE_OF_GAP:g} of the walls of {tissue.name}, {wall:.3g} mm")
+        for tissue, wall in zip(tissues, walls_mm, strict=True)
+        if wall
+    ]
     chosen, reason = min(choices, key=lambda choice: choice[0])
-    least = _LEAST_ENVELOPE * diagonal_mm
+    least = _LEAST_ENVELOPE * own
     if chosen < least:
-        return least, f"{_LEAST_ENVELOPE:g} of the diagonal, the least; {reason} would be {chosen:.3g} mm"
-    if distance_mm and _SHARE_OF_GAP * distance_mm < chosen:
-        apart = _SHARE_OF_GAP * distance_mm
+        return Envelope(least, f"{_LEAST_ENVELOPE:g} of the diagonal, the least; {reason} would be {chosen:.3g} mm")
+    if distance_mm and SHARE_OF_GAP * distance_mm < chosen:
+        apart = SHARE_OF_GAP * distance_mm
         if apart < _LEAST_FOR_DISTANCE * chosen:
-            return chosen, f"{reason}; tissues only {distance_mm:.3g} mm apart may touch"
-        return apart, f"{_SHARE_OF_GAP:g} of the smallest distance of tissues, {distance_mm:.3g} mm"
-    return chosen, reason
+            return Envelope(chosen, f"{reason}; tissues only {distance_mm:.3g} mm apart may touch")
+        return Envelope(apart, f"{SHARE_OF_GAP:g} of the smallest distance of tissues, {distance_mm:.3g} mm")
+    return Envelope(chosen, reason)
 
 
-def wall_thickness(tissue: Tissue, tree: Tree) -> float | None:
+def wall_thickness(tissue: Tissue) -> float | None:
     """Return how thick a tissue is where it is thin, in mm: 5 % of its area have less below them; None: unknown."""
     mesh = without_flat_faces(tissue.mesh)
     corners = mesh.vertices[mesh.faces]

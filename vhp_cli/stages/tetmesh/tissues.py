@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,6 +14,8 @@ from vhp_cli.kernels.spatial import Tree
 from vhp_cli.mesh import Mesh
 
 Box = tuple[NDArray[np.float64], NDArray[np.float64]]
+# Names of two tissues.
+Pair = tuple[str, str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,16 +60,43 @@ class Relations:
         For each tissue, all tissues that it lies in.
     overlaps_mm3
         Common volume of the pairs of tissues that overlap without one lying in the other; 0 where it is not known.
-    smallest_gap_mm
-        The smallest gap between a tissue and one that lies in it; None: none was found.
-    smallest_distance_mm
-        The smallest distance of two tissues that lie apart; None: none was found.
+    gaps_mm
+        Gaps between a tissue and one that lies in it, by pair, as far as they were looked for.
+    distances_mm
+        Distances of tissues that lie apart, by pair, as far as they were looked for.
+    contacts
+        Pairs of tissues that touch, or of which it can't be told how they lie to each other.
     """
 
     containers: Mapping[str, frozenset[str]] = field(default_factory=dict)
-    overlaps_mm3: Mapping[tuple[str, str], float] = field(default_factory=dict)
-    smallest_gap_mm: float | None = None
-    smallest_distance_mm: float | None = None
+    overlaps_mm3: Mapping[Pair, float] = field(default_factory=dict)
+    gaps_mm: Mapping[Pair, float] = field(default_factory=dict)
+    distances_mm: Mapping[Pair, float] = field(default_factory=dict)
+    contacts: frozenset[Pair] = frozenset()
+
+    @property
+    def smallest_gap_mm(self) -> float | None:
+        """The smallest gap between a tissue and one that lies in it; None: none was found."""
+        return min(self.gaps_mm.values(), default=None)
+
+    @property
+    def smallest_distance_mm(self) -> float | None:
+        """The smallest distance of two tissues that lie apart; None: none was found."""
+        return min(self.distances_mm.values(), default=None)
+
+    def among(self, names: Collection[str]) -> Relations:
+        """Return how some of the tissues lie to each other."""
+
+        def within(values: Mapping[Pair, float]) -> dict[Pair, float]:
+            return {pair: value for pair, value in values.items() if pair[0] in names and pair[1] in names}
+
+        return Relations(
+            {name: around.intersection(names) for name, around in self.containers.items() if name in names},
+            within(self.overlaps_mm3),
+            within(self.gaps_mm),
+            within(self.distances_mm),
+            frozenset(pair for pair in self.contacts if pair[0] in names and pair[1] in names),
+        )
 
 
 def without_flat_faces(mesh: Mesh) -> Mesh:
