@@ -8,10 +8,10 @@ from vhp_cli.pipeline.clearance import separate_tissue
 
 
 def only_coarse(mesh, task):
-    """Keep eight tenths of the gap at first, and fail when it is to be done more finely."""
+    """Keep half of the gap at first, and fail when it is to be done more finely."""
     if task.level:
         raise RuntimeError("no finer")
-    near = tuple((replace(neighbour, gap_mm=0.8 * neighbour.gap_mm), path) for neighbour, path in task.neighbours)
+    near = tuple((replace(neighbour, gap_mm=0.5 * neighbour.gap_mm), path) for neighbour, path in task.neighbours)
     return separate_tissue(mesh, replace(task, neighbours=near))
 
 
@@ -21,4 +21,11 @@ def stubborn_spleen(mesh, task):
 
     if abs(mesh.vertices).max() < 13:
         return Outcome(None, "refused", "it is stubborn")
+    return separate_tissue(mesh, task)
+
+
+def failing_spleen(mesh, task):
+    """Fail on the tissue that is the larger one."""
+    if abs(mesh.vertices).max() < 13:
+        raise RuntimeError("it broke")
     return separate_tissue(mesh, task)

@@ -17,6 +17,7 @@ from vhp_cli.commands.common import (
     show_report,
     write_reports,
 )
+from vhp_cli.commands.declaring import declare_option, read_declared
 from vhp_cli.commands.options import (
     judging_options,
     model_options,
@@ -29,6 +30,7 @@ from vhp_cli.commands.options import (
 @model_options
 @click.option("-o", "--output", type=click.Path(path_type=Path, file_okay=False), help="Write report.json in here.")
 @judging_options
+@declare_option
 @click.option(
     "--baseline",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -54,6 +56,7 @@ def check(
     min_edge: float | None,
     gap: float | None,
     gap_search: float | None,
+    declare: Path | None,
     baseline: Path | None,
     reports: tuple[str, ...],
     form: str | None,
@@ -90,6 +93,7 @@ def check(
         gap_search_mm=gap_search,
         recursive=recursive,
     )
+    settings = read_declared(declare).added_to(settings)
     targets = [report_target(report, form) for report in reports]
     if output is not None:
         targets.append((output / "report.json", "json"))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from vhp_cli.commands.declaring import declare_option, with_declared
+from vhp_cli.commands.declaring import declare_option, read_declared
 from vhp_cli.commands.options import judging_options, model_options, report_options, stage_options, worker_options
 from vhp_cli.commands.staging import Shared, run_staged
 from vhp_cli.commands.time_limits import by_size
@@ -109,7 +109,8 @@ def heal(
         "only-topology": only_topology or None,
         "thicken": thicken,
     }
-    settings = with_declared(request.settings(), declare)
+    declared = read_declared(declare)
+    settings = declared.added_to(request.settings())
     options, options_of = _options(settings, {key: value for key, value in flags.items() if value is not None})
 
     from vhp_cli.pipeline.stage import Stage
@@ -131,7 +132,7 @@ def heal(
     def plan(model: Any, out: Any, stage: Stage, settings: Settings, **how: Any) -> Any:
         return plan_healing(model, out, stage, apart, settings, **how)
 
-    run_staged(ctx, stage, settings, request, run=run, plan=plan)
+    run_staged(ctx, stage, settings, request, run=run, plan=plan, declared=declared)
 
 
 def _options(settings: Settings, flags: Mapping[str, object]) -> tuple[HealOptions, Callable[[str], HealOptions]]:

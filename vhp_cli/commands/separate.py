@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from vhp_cli.commands.declaring import declare_option, with_declared
+from vhp_cli.commands.declaring import declare_option, read_declared
 from vhp_cli.commands.options import judging_options, model_options, report_options, stage_options, worker_options
 from vhp_cli.commands.staging import Shared, run_staged
 from vhp_cli.commands.time_limits import by_size
@@ -37,8 +37,8 @@ _LENGTH = click.FloatRange(min=0, min_open=True)
 @click.option(
     "--rigid-pairs",
     type=click.Choice(["least", "share", "keep"]),
-    help="Two rigid tissues: part those that cross by the least, let both give way to the whole gap, or leave them. "
-    "[default: least]",
+    help="Two rigid tissues: part those that cross or touch, the larger one gives way; let both give way wherever they "
+    "are too close; or leave them. [default: least]",
 )
 @click.option("--rounds", type=click.IntRange(0, 6), metavar="N", help="Refinements of what is too close. [default: 3]")
 @declare_option
@@ -77,7 +77,8 @@ def separate(
         "rigid-pairs": rigid_pairs,
         "rounds": rounds,
     }
-    settings = with_declared(request.settings(), declare)
+    declared = read_declared(declare)
+    settings = declared.added_to(request.settings())
     options = clearance_options(settings, {key: value for key, value in flags.items() if value is not None})
 
     from vhp_cli.pipeline.clearance import COMMAND, TARGET, plan_separation, separate_model
@@ -90,7 +91,7 @@ def separate(
         return plan_separation(model, out, options, settings, **how)
 
     stage = Stage(COMMAND, TARGET, partial(_checked, settings), options.as_dict())
-    run_staged(ctx, stage, settings, request, run=run, plan=plan)
+    run_staged(ctx, stage, settings, request, run=run, plan=plan, declared=declared)
 
 
 def clearance_options(settings: Settings, flags: Mapping[str, object]) -> ClearanceOptions:

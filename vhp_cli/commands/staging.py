@@ -20,6 +20,7 @@ from vhp_cli.commands.common import (
     show_report,
     write_reports,
 )
+from vhp_cli.commands.declaring import Declared, hand_on_settings
 
 if TYPE_CHECKING:
     from vhp_cli.config import Settings
@@ -80,11 +81,12 @@ def run_staged(
     *,
     run: Callable[..., Staged] | None = None,
     plan: Callable[..., Plan] | None = None,
+    declared: Declared | None = None,
 ) -> None:
     """Run a stage over a model, report on the result, and end with its exit code.
 
     `run` takes the place of `vhp_cli.pipeline.staged.run_and_check`, `plan` that of
-    `vhp_cli.pipeline.stage.plan_stage`.
+    `vhp_cli.pipeline.stage.plan_stage`. `declared` are pairs that the settings know already.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -125,12 +127,14 @@ def run_staged(
             cache_directory=default_directory() if request.cache else None,
             progress=progress,
         )
-    _hand_on_config(request.config, model, output)
+    untold = hand_on_settings(request.config, model, output, declared or Declared())
     report = done.report
     write_reports(report, [*targets, (output / REPORT, "json")], report_base((output,)))
     to_stdout = next((target_form for path, target_form in targets if path is None), request.form)
     show_report(report, to_stdout or "table", report_base((output,)), **talk)
     if not talk.get("quiet"):
+        if untold:
+            click.echo(f"note: {untold}", err=True)
         if done.reused:
             click.echo(f"note: {done.reused} of {len(report['tissues'])} were taken from the run before", err=True)
         if others := foreign_meshes(output, [tissue["file"] for tissue in report["tissues"]]):
@@ -138,12 +142,3 @@ def run_staged(
     if done.failed:
         ctx.exit(FAILED)
     ctx.exit(PASSED if report["summary"]["passed"] else ERRORS)
-
-
-def _hand_on_config(config: Path | None, model: tuple[Path, ...], output: Path) -> None:
-    """Copy the settings of the model, so that a check of the result judges by the same."""
-    if config is not None or len(model) != 1 or not (model[0] / "vhp.toml").is_file():
-        return
-    from vhp_cli.formats.atomic import write_atomically
-
-    write_atomically(output / "vhp.toml", (model[0] / "vhp.toml").read_bytes())

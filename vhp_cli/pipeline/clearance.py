@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import queue
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,12 +17,13 @@ from pathlib import Path
 from vhp_cli import formats
 from vhp_cli.config import Settings
 from vhp_cli.formats.atomic import refused
-from vhp_cli.measures import Action, Report
+from vhp_cli.measures import Action
 from vhp_cli.mesh import Mesh
 from vhp_cli.model import Model, TissueFile
 from vhp_cli.pipeline.check import Checked, Progress, available_cores, check_model
 from vhp_cli.pipeline.clearance_plan import Neighbour, Plan, looking_farther, make_plan
-from vhp_cli.pipeline.clearance_report import clearance_report, reached
+from vhp_cli.pipeline.clearance_report import clearance_report
+from vhp_cli.pipeline.clearance_rounds import held_back, too_close
 from vhp_cli.pipeline.delivery import deliver
 from vhp_cli.pipeline.journal import Entry, Head, Journal, Recorded, head_of
 from vhp_cli.pipeline.measuring import parse_in_mm
@@ -33,10 +34,12 @@ from vhp_cli.pipeline.stage_report import stage_report
 from vhp_cli.pipeline.staged import Staged, run_facts
 from vhp_cli.pipeline.task import Result, Task
 from vhp_cli.processes import CallFailed, Child
+from vhp_cli.stages.clearance.attempt import Attempt
 from vhp_cli.stages.clearance.cell import Bound, Cell
+from vhp_cli.stages.clearance.cutting import SQUEEZED
 from vhp_cli.stages.clearance.distance import SignedDistance
 from vhp_cli.stages.clearance.options import ClearanceOptions
-from vhp_cli.stages.clearance.separation import SQUEEZED, Attempt, separate
+from vhp_cli.stages.clearance.separation import separate
 from vhp_cli.stages.outcome import Outcome
 
 COMMAND = "separate"
@@ -162,13 +165,13 @@ def separate_model(
         while True:
             if any(run.levels.values()):
                 # From the second round on, others give way for those that did not.
-                run.plan = make_plan(before.report, settings, options, run.stuck, run.squeezed)
+                run.plan = make_plan(before.report, settings, options, *held_back(run.by_tissue))
             run.round(jobs or available_cores(), progress)
             clock = time.perf_counter()
             after = check(run.written, "result", [out])
             checking += time.perf_counter() - clock
-            renewed = make_plan(before.report, settings, options, run.stuck, run.squeezed)
-            again = _too_close(renewed, after.report, run, options)
+            renewed = make_plan(before.report, settings, options, *held_back(run.by_tissue))
+            again = too_close(renewed, after.report, run.by_tissue, options)
             if not again:
                 break
             run.refine(again)
@@ -220,18 +223,10 @@ class _Run:
         return tuple(self._journal.entries[file] for file in self._files.values())
 
     @property
-    def stuck(self) -> list[str]:
-        """The tissues that could not be brought into their rooms."""
-        return self._with(lambda entry: entry.status == "refused" and SQUEEZED not in entry.reason)
-
-    @property
-    def squeezed(self) -> list[str]:
-        """The tissues that could not be brought into their rooms all the way, in this run or before."""
-        return self._with(lambda entry: _is_stuck(entry) and (entry.status != "refused" or SQUEEZED in entry.reason))
-
-    def _with(self, told: Callable[[Entry], bool]) -> list[str]:
+    def by_tissue(self) -> dict[str, Entry]:
+        """What became of the tissues that were done so far."""
         entries = self._journal.entries
-        return [name for name, file in self._files.items() if file in entries and told(entries[file])]
+        return {name: entries[file] for name, file in self._files.items() if file in entries}
 
     def round(self, jobs: int, progress: Progress | None) -> None:
         """Do every tissue that is not done, those within others after them."""
@@ -385,26 +380,6 @@ def _taken_over(
             kept[file] = entry
     complete = len(kept) == len(files)
     return kept, levels if complete or any(levels.values()) else nothing
-
-
-def _too_close(plan: Plan, report: Report, run: _Run, options: ClearanceOptions) -> list[str]:
-    """Return the tissues that are still too close to another one and that may come out better, done more finely."""
-    hopeful = {
-        record["name"]
-        for record, entry in zip(report["tissues"], run.entries, strict=True)
-        if entry.status not in ("refused", "failed") and entry.level < options.rounds and not _is_stuck(entry)
-    }
-    found: set[str] = set()
-    wanted = {(pair.a, pair.b): pair for pair in plan.pairings}
-    for pair in report["pairs"]:
-        pairing = wanted.get((pair["a"], pair["b"]))
-        if pairing is not None and pairing.kind not in ("identical", "kept") and not reached(pairing, pair, aimed=True):
-            found.update(name for name in (pairing.a, pairing.b) if pairing.share_of(name) > 0)
-    return [tissue["name"] for tissue in report["tissues"] if tissue["name"] in found & hopeful]
-
-
-def _is_stuck(entry: Entry) -> bool:
-    return entry.status == "refused" or any(action["step"] == SQUEEZED for action in entry.actions)
 
 
 def _size(path: Path) -> int:

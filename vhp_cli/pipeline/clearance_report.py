@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from vhp_cli.gate import GAP_ROUNDING
 from vhp_cli.measures import Clearance, ClearancePair, ClearanceState, ClearanceTissue, PairRecord, Place, Report
 from vhp_cli.pipeline.journal import Entry
+from vhp_cli.stages.clearance.cutting import SQUEEZED
 from vhp_cli.stages.clearance.relations import Pairing
-from vhp_cli.stages.clearance.separation import SQUEEZED
 from vhp_cli.stages.clearance.stiffness import Stiffness
 
 _APART: ClearanceState = {"relation": "disjoint", "min_gap_mm": None, "overlap_mm3": 0.0}

@@ -32,6 +32,13 @@ def test_signed_distance_to_a_box_either_way_round(mesh):
     assert (distance.least(SOME) <= exact + 1e-12).all()
     limited = distance(SOME, 2.0)
     assert limited == pytest.approx(np.minimum(exact, 2.0), abs=1e-12)
+    for outer, inner in ((2.0, 1.0), (1.0, 2.0), (np.inf, 1.5)):
+        clipped = np.clip(exact, -inner, outer)
+        assert distance(SOME, outer, inner) == pytest.approx(clipped, abs=1e-12)
+        located = distance.located(SOME, outer, inner)
+        assert located.values == pytest.approx(clipped, abs=1e-12)
+        lengths = np.linalg.norm(located.gradients, axis=1)
+        assert lengths == pytest.approx(np.where(clipped == exact, 1.0, 0.0), abs=1e-9)
 
 
 def test_gradients_lead_away_from_the_surface_inside_and_outside():
@@ -102,3 +109,12 @@ def test_a_spike_in_the_middle_of_a_large_face_is_seen():
         )
         < 0
     )
+
+
+def test_no_more_is_looked_at_than_is_asked_for():
+    """A ball deep in another one exceeds its room everywhere by about the same."""
+    inner = sphere(3, subdivisions=2)
+    cell = Cell(SignedDistance(inner), [Bound("apart", SignedDistance(BALL), 1.0, 1.0)])
+    most = excess_of(inner, cell, spacing_mm=0.2)
+    assert 8.0 < most <= 8.0 + 0.2
+    assert 2.0 < excess_of(inner, cell, spacing_mm=0.2, enough_mm=2.0) <= most

@@ -11,12 +11,13 @@ from shapes import box, joined, sphere
 from vhp_cli.kernels.spatial import Tree, gap
 from vhp_cli.mesh import Mesh
 from vhp_cli.stages.clearance import separate
+from vhp_cli.stages.clearance.attempt import Attempt
 from vhp_cli.stages.clearance.carving import carved, known_vertices
 from vhp_cli.stages.clearance.cell import Bound, Cell
+from vhp_cli.stages.clearance.cutting import SQUEEZED
 from vhp_cli.stages.clearance.displacement import displaced
 from vhp_cli.stages.clearance.distance import SignedDistance
 from vhp_cli.stages.clearance.options import ClearanceOptions
-from vhp_cli.stages.clearance.separation import SQUEEZED, Attempt
 from vhp_cli.stages.heal.candidate import judge
 
 

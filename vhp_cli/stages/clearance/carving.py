@@ -35,6 +35,7 @@ def carved(
     *,
     grid_mm: float,
     margin_mm: float,
+    most_cells: int = 3_000_000,
     timeout_s: float | None = None,
     memory_gb: float | None = None,
 ) -> tuple[Mesh, float]:
@@ -50,6 +51,8 @@ def carved(
         Cells in which the cut is worked out.
     margin_mm
         How much farther in than the border of the room it is cut.
+    most_cells
+        Bound on their number.
     timeout_s, memory_gb
         Limits of each call of the engine.
 
@@ -76,7 +79,7 @@ def carved(
         return values
 
     made = mesh
-    cutter = zero_surface(forbidden, lower, upper, grid_mm)
+    cutter = zero_surface(forbidden, lower, upper, grid_mm, most_cells=most_cells)
     if len(cutter.faces):
         cutter = _on_border(cutter, current, cell, grid_mm, margin_mm)
         made = _combined("difference", made, cutter, _SIMPLIFY * grid_mm, limits)

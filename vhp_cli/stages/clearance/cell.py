@@ -72,6 +72,10 @@ class Bound:
             return self.gap_mm + (max((1 - self.share) * own, 0.0) + band_mm) / self.share
         return np.inf if self.kind == "parent" else (2 if self.idle else 1) * self.gap_mm + band_mm
 
+    def deepest(self, band_mm: float) -> float:
+        """Return the depth in the neighbour beyond which the excess is below minus a band."""
+        return self.gap_mm + band_mm if self.kind == "parent" else np.inf
+
     def gradient(self, own: Located, other: Located) -> Floats:
         """Return the gradient (P, 3) of the excess by the two distances and their gradients."""
         if self.idle:
@@ -97,11 +101,15 @@ class Cell:
         self.own = own
         self.bounds = tuple(bounds)
 
-    def scaled(self, scale: float) -> Cell:
-        """Return the room with all gaps multiplied."""
+    def scaled(self, scale: float, only: Sequence[Bound] | None = None) -> Cell:
+        """Return the room with all gaps multiplied, or only those of some of its bounds."""
         if scale == 1:
             return self
-        return Cell(self.own, [replace(bound, gap_mm=scale * bound.gap_mm) for bound in self.bounds])
+        tight = self.bounds if only is None else only
+        return Cell(
+            self.own,
+            [replace(bound, gap_mm=scale * bound.gap_mm) if bound in tight else bound for bound in self.bounds],
+        )
 
     @property
     def gap_mm(self) -> float:
@@ -156,8 +164,8 @@ class Cell:
             else:
                 mine = np.zeros(len(at))
             if len(at):
-                limit = bound.farthest(float(mine.max()), band_mm)
-                value[at] = bound.combined(mine, bound.distance(points[at], limit))
+                limits = bound.farthest(float(mine.max()), band_mm), bound.deepest(band_mm)
+                value[at] = bound.combined(mine, bound.distance(points[at], *limits))
             np.maximum(found, value, out=found)
         return found
 
@@ -175,7 +183,8 @@ class Cell:
             value = self._bound(bound, mine, points)
             at = np.flatnonzero(value > np.maximum(values, -band_mm))
             if len(at):
-                other = bound.distance.located(points[at], bound.farthest(float(mine[at].max()), band_mm))
+                limits = bound.farthest(float(mine[at].max()), band_mm), bound.deepest(band_mm)
+                other = bound.distance.located(points[at], *limits)
                 value[at] = bound.combined(mine[at], other.values)
                 leads = np.flatnonzero((value[at] > values[at]) & (value[at] > -band_mm))
                 near = at[leads]

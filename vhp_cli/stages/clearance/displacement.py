@@ -16,6 +16,7 @@ from vhp_cli.kernels import surface
 from vhp_cli.kernels.measuring import thickness
 from vhp_cli.kernels.remeshing import Remesher
 from vhp_cli.mesh import Mesh, vertex_normals
+from vhp_cli.stages.clearance.attempt import spacing_mm
 from vhp_cli.stages.clearance.cell import Cell
 from vhp_cli.stages.clearance.sampling import Samples, excess_of, samples_of
 from vhp_cli.stages.smooth.guard import Guard, Limits
@@ -24,8 +25,6 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _ITERATIONS = 40
-# Points of the surface stand for parts of this size, in gaps, or in mm if that is more, where it may exceed its room.
-_SPACING_GAPS, _LEAST_SPACING_MM = 0.35, 0.2
 _SPREADS = 4
 # The surface around follows by exp(-distance / length); the length in mm, or in mean edges if that is more.
 _FALLOFF_MM, _FALLOFF_EDGES = 5.0, 2.5
@@ -74,7 +73,7 @@ def displaced(mesh: Mesh, cell: Cell, *, margin_mm: float, max_move_mm: float, t
     thin_mm
         Both sides of walls thinner than this go together.
     """
-    spacing = max(_SPACING_GAPS * cell.gap_mm, _LEAST_SPACING_MM)
+    spacing = spacing_mm(cell.gap_mm)
     active = cell.without_idle()
     given, start = mesh, excess_of(mesh, active, spacing_mm=spacing)
     samples = samples_of(mesh, active, spacing_mm=spacing, margin_mm=margin_mm)

@@ -49,29 +49,38 @@ class SignedDistance:
         lengths = np.linalg.norm(normals, axis=1, keepdims=True)
         self._normals = normals / np.where(lengths > 0, lengths, 1.0)
 
-    def __call__(self, points: Floats, limit_mm: float = np.inf) -> Floats:
-        """Return the signed distances of points (P, 3); those outside that are beyond a limit equal the limit."""
-        distances = closest(self.tree, points, limit_mm).distances
+    def __call__(self, points: Floats, limit_mm: float = np.inf, inner_mm: float = np.inf) -> Floats:
+        """Return the signed distances of points (P, 3).
+
+        Those outside that are beyond a limit equal the limit; those inside that are deeper than another one equal
+        minus that.
+        """
+        first = min(limit_mm, inner_mm)
+        distances = closest(self.tree, points, first).distances
         inside = self._inside(points)
         far = np.isinf(distances)
-        at = np.flatnonzero(far & inside)
-        distances[at] = closest(self.tree, points[at]).distances
-        distances[far & ~inside] = limit_mm
+        for side, most in ((far & inside, inner_mm), (far & ~inside, limit_mm)):
+            at = np.flatnonzero(side)
+            if most > first:
+                distances[at] = closest(self.tree, points[at], most).distances
+            distances[at] = np.minimum(distances[at], most)
         return np.where(inside, -distances, distances)
 
-    def located(self, points: Floats, limit_mm: float = np.inf) -> Located:
+    def located(self, points: Floats, limit_mm: float = np.inf, inner_mm: float = np.inf) -> Located:
         """Return the signed distances of points (P, 3) and their gradients.
 
-        Those outside that are beyond a limit get the limit and no gradient.
+        Those beyond a limit outside, or beyond another one inside, get that limit and no gradient.
         """
-        near = closest(self.tree, points, limit_mm)
+        first = min(limit_mm, inner_mm)
+        near = closest(self.tree, points, first)
         inside = self._inside(points)
         far = np.isinf(near.distances)
-        if (at := np.flatnonzero(far & inside)).size:
-            deep = closest(self.tree, points[at])
-            near.distances[at], near.points[at], near.faces[at] = deep
-        beyond = far & ~inside
-        near.distances[beyond], near.points[beyond] = limit_mm, points[beyond]
+        for side, most in ((far & inside, inner_mm), (far & ~inside, limit_mm)):
+            at = np.flatnonzero(side)
+            if most > first:
+                near.distances[at], near.points[at], near.faces[at] = closest(self.tree, points[at], most)
+                at = at[np.isinf(near.distances[at])]
+            near.distances[at], near.points[at] = most, points[at]
         values = np.where(inside, -near.distances, near.distances)
         on_surface = near.distances < _ON_SURFACE
         ways = (points - near.points) / np.where(on_surface, 1.0, values)[:, None]

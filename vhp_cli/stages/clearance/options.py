@@ -51,10 +51,9 @@ class ClearanceOptions(StageOptions):
         From this share of common volume on, one of the two tissues takes it all: the labels contradict each other.
     rigid_pairs
         What becomes of two rigid tissues that are too close: ``"least"``: if they cross or touch, the larger one gives
-        way to `rigid_gap_mm`, else both stay as they are; ``"share"``: both give way to the whole gap; ``"keep"``: both
-        stay.
+        way, else both stay as they are; ``"share"``: both give way; ``"keep"``: both stay.
     rigid_gap_mm
-        The gap of two rigid tissues that crossed or touched, if that is less than the gap asked for.
+        The gap of two rigid tissues that crossed or touched, if that is less than the gap asked for; None: that one.
     rounds
         How often what is still too close is done anew, each time more finely.
     target_quality
@@ -79,7 +78,7 @@ class ClearanceOptions(StageOptions):
     nested_share: float = 0.6
     conflict_share: float = 0.3
     rigid_pairs: str = "least"
-    rigid_gap_mm: float = 0.3
+    rigid_gap_mm: float | None = None
     rounds: int = 3
     target_quality: float = 0.3
     min_edge_mm: float = 0.02

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -18,6 +19,8 @@ Kind = Literal["apart", "nested", "conflict", "identical", "kept"]
 TOUCHING_MM = 0.05
 # A gap that the settings leave at nothing is still one that float32 coordinates tell.
 _LEAST_GAP_MM = 0.01
+# Of a thin tissue so much has to lie in another one for it to be meant to lie inside.
+_THIN_NESTED_SHARE = 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +118,7 @@ def pairing(
     if stiffness[a].fixed and stiffness[b].fixed:
         return replace(found, kind="kept", reason="both are fixed")
     shares = {name: _overlap_share(pair, tissues[name]) for name in (a, b)}
-    if inner := _inner(pair, shares, settings, options):
+    if inner := _inner(pair, shares, stiffness, gap, settings, options):
         close = close or not pair["inside"]
         return replace(found, kind="nested", close=close, inner=inner, share=_nested_share(found, inner, stiffness))
     if max(shares.values()) >= options.conflict_share:
@@ -137,7 +140,7 @@ def _rigid(
     stiffness: Mapping[str, Stiffness],
     options: ClearanceOptions,
 ) -> Pairing:
-    """Let two rigid tissues stay as they are, or the larger one give way to the other by the least that parts them."""
+    """Let two rigid tissues stay as they are, or the larger one give way to the other if one has to change anyway."""
     a, b = found.a, found.b
     if options.rigid_pairs == "keep":
         return replace(found, kind="kept", reason="both are rigid")
@@ -148,9 +151,10 @@ def _rigid(
         yields = b if stiffness[a].fixed else a
     else:
         yields = max((a, b), key=lambda name: (abs(tissues[name]["volume_mm3"]), name))
-    reason = f"both are rigid: {yields} gives way by the least that parts them, to a gap of {options.rigid_gap_mm:g} mm"
-    least = None if options.rigid_gap_mm >= found.gap_mm else options.rigid_gap_mm
-    reason = reason if least is not None else ""
+    least, reason = None, ""
+    if options.rigid_gap_mm is not None and options.rigid_gap_mm < found.gap_mm:
+        least = options.rigid_gap_mm
+        reason = f"both are rigid: {yields} gives way by no more than parts them, to a gap of {least:g} mm"
     return replace(found, share=1.0 if yields == a else 0.0, least_mm=least, reason=reason)
 
 
@@ -159,8 +163,20 @@ def _overlap_share(pair: PairRecord, tissue: TissueRecord) -> float:
     return pair["overlap_mm3"] / volume if tissue["closed"] and volume > 0 else 0.0
 
 
-def _inner(pair: PairRecord, shares: Mapping[str, float], settings: Settings, options: ClearanceOptions) -> str:
-    """Return which one lies, or was meant to lie, inside the other; empty if none does."""
+def _inner(
+    pair: PairRecord,
+    shares: Mapping[str, float],
+    stiffness: Mapping[str, Stiffness],
+    gap_mm: float,
+    settings: Settings,
+    options: ClearanceOptions,
+) -> str:
+    """Return which one lies, or was meant to lie, inside the other; empty if none does.
+
+    What is not thicker by two gaps has no room for another one in it, and of a thin one that sticks out far little
+    would be left if it were brought inside: then the labels contradict each other. Around a rigid one the other one
+    grows.
+    """
     a, b = pair["a"], pair["b"]
     for first, second in ((a, b), (b, a)):
         if any(pattern.matches(first, second) for pattern in settings.nested):
@@ -168,7 +184,13 @@ def _inner(pair: PairRecord, shares: Mapping[str, float], settings: Settings, op
     if pair["inside"]:
         return a if pair["inside"] == "a" else b
     most = max((a, b), key=lambda name: shares[name])
-    return most if shares[most] >= options.nested_share and shares[a] != shares[b] else ""
+    other = b if most == a else a
+    if shares[most] < options.nested_share or shares[a] == shares[b]:
+        return ""
+    within, around = stiffness[most], stiffness[other]
+    fits = within.thickness_mm + 2 * gap_mm <= around.thickness_mm
+    sticks_out = within.thickness_mm < 2 * options.thin_mm and shares[most] < _THIN_NESTED_SHARE
+    return most if within.rigid or (fits and not sticks_out) else ""
 
 
 def _nested_share(found: Pairing, inner: str, stiffness: Mapping[str, Stiffness]) -> float:
@@ -181,13 +203,19 @@ def _nested_share(found: Pairing, inner: str, stiffness: Mapping[str, Stiffness]
 def _conflict(
     found: Pairing, shares: Mapping[str, float], tissues: Mapping[str, TissueRecord], stiffness: Mapping[str, Stiffness]
 ) -> Pairing:
-    """Decide who keeps the common volume: the stiffer one, else the smaller one."""
+    """Decide who keeps the common volume: the one for which losing it is worse.
+
+    That is the larger share of its volume, weighed by how little it yields: a thin wall or a stiff tissue keeps what a
+    large soft one can spare.
+    """
     a, b = found.a, found.b
 
-    def rank(name: str) -> tuple[bool, float, float, str]:
-        return (not stiffness[name].fixed, stiffness[name].yielding, abs(tissues[name]["volume_mm3"]), name)
+    def harm(name: str) -> tuple[bool, float, float, str]:
+        yielding = 0.0 if stiffness[name].fixed else stiffness[name].yielding
+        lost = shares[name] / yielding if yielding else math.inf
+        return (stiffness[name].fixed, lost, -abs(tissues[name]["volume_mm3"]), name)
 
-    winner = min((a, b), key=rank)
+    winner = max((a, b), key=harm)
     loser = found.other(winner)
     most = max((a, b), key=lambda name: shares[name])
     reason = f"{shares[most]:.0%} of {most} has the label of the other too; {winner} keeps it, {loser} loses it"

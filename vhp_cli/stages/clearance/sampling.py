@@ -15,6 +15,8 @@ Ints = NDArray[np.int64]
 
 _MOST = 400_000
 _DEEPEST = 12
+# Parts whose centres are inside by less than this part of the spacing are looked at on so much smaller ones.
+_CLOSE, _FINER = 0.25, 6.0
 # The corners of the four parts of a triangle, by those of the whole.
 _QUARTERS = np.array(
     [
@@ -75,12 +77,21 @@ def samples_of(mesh: Mesh, cell: Cell, *, spacing_mm: float, margin_mm: float) -
     return Samples(mesh.faces[faces].astype(np.int64), weights, faces)
 
 
-def excess_of(mesh: Mesh, cell: Cell, *, spacing_mm: float, least_mm: float = 0.0, outside_mm: float = np.inf) -> float:
+def excess_of(
+    mesh: Mesh,
+    cell: Cell,
+    *,
+    spacing_mm: float,
+    least_mm: float = 0.0,
+    enough_mm: float = np.inf,
+    outside_mm: float = np.inf,
+) -> float:
     """Return by how much a surface exceeds its room in mm; negative if it is inside.
 
     Only parts of triangles are looked at that may exceed it by more than what was found so far, and than `least_mm`:
-    a result below that says no more than that it is not above. `outside_mm` is how far the surface may lie outside of
-    the given one.
+    a result below that says no more than that it is not above, and one above `enough_mm` no more than that it is not
+    below. `outside_mm` is how far the surface may lie outside of the given one. Where the surface is about at the
+    border of its room, the spacing is smaller than asked for.
     """
     at = np.unique(mesh.faces)
     own = np.zeros(len(at)) if mesh is cell.own.mesh else None
@@ -89,9 +100,12 @@ def excess_of(mesh: Mesh, cell: Cell, *, spacing_mm: float, least_mm: float = 0.
     cell = cell.without_idle()
     faces, parts = np.arange(len(mesh.faces)), np.broadcast_to(np.eye(3), (len(mesh.faces), 3, 3))
     for _ in range(_DEEPEST):
+        if found > enough_mm:
+            break
         excess, radius = _looked_at(mesh, cell, faces, parts, 0.0, outside_mm)
         found = max(found, float(excess.max(initial=-np.inf)))
-        more = (excess + radius > max(found, least_mm)) & (radius > spacing_mm)
+        wanted = np.where(np.abs(excess) < _CLOSE * spacing_mm, spacing_mm / _FINER, spacing_mm)
+        more = (excess + radius > max(found, least_mm)) & (radius > wanted)
         if not more.any() or 4 * int(more.sum()) > _MOST:
             break
         faces, parts = _quartered(faces[more], parts[more])
