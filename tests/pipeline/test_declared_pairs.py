@@ -94,3 +94,13 @@ def test_pairs_that_may_touch_are_only_kept_from_crossing(model, out):
     first, second = (read_mesh(out / f"{name}.stl").mesh for name in ("rib", "cartilage"))
     found = gap(Tree(first.vertices, first.faces), Tree(second.vertices, second.faces))
     assert not found.contact_kind and 0 < found.distance < 0.5
+
+
+def test_a_pipeline_hands_declared_pairs_on_to_its_surfaces(model, tmp_path, out):
+    (tmp_path / "pairs.toml").write_text('[[may-touch]]\na = "rib"\nb = "cart*"\n')
+    stages = '[[stage]]\ncommand = "separate"\ndeclare = "pairs.toml"\n[[stage]]\ncommand = "smooth"\n'
+    (tmp_path / "pipeline.toml").write_text(stages + '[[stage]]\ncommand = "check"\n')
+    assert main(["run", str(tmp_path / "pipeline.toml"), str(model), "-o", str(out), "-j1"]) == 0
+    assert main(["check", str(out / "surfaces")]) == 0
+    (out / "surfaces" / "vhp.toml").unlink()
+    assert main(["check", str(out / "surfaces")]) == 1

@@ -347,6 +347,9 @@ def _publish(out: Path, source: Path, config: Path | None) -> None:
     """Copy the final surfaces, and the settings they were judged by, to where users look for them."""
     target = out / FINAL
     files = {tissue.file: tissue.path for tissue in find_model([source], recursive=True).tissues}
+    # A stage that was told of pairs that may touch hands them on as settings of its own.
+    if config is None and (source / CONFIG).is_file():
+        config = source / CONFIG
     if config is not None:
         files[CONFIG] = config
     found = read_record(out, FINAL)
