@@ -92,7 +92,7 @@ def test_make_directory(tmp_path):
     make_directory(tmp_path / "a" / "b")
     assert (tmp_path / "a" / "b").is_dir()
     (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(VhpError, match="can't write .*file"):
+    with pytest.raises(VhpError, match=r"can't write .*file"):
         make_directory(tmp_path / "file" / "b")
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -18,6 +20,9 @@ from vhp_cli.commands.common import (
 )
 from vhp_cli.commands.options import judging_options, report_options, worker_options
 from vhp_cli.commands.time_limits import by_size
+
+if TYPE_CHECKING:
+    from vhp_cli.stages.shells.offsetting import Shell
 
 _LENGTH = click.FloatRange(min=0, min_open=True)
 
@@ -40,7 +45,7 @@ _LENGTH = click.FloatRange(min=0, min_open=True)
     help="Thickness of the fat: a number; a .toml map of points on the skin, each with a thickness or a place of "
     "Table 5.1 of the thesis; or an .npy array with a number for each vertex or triangle.",
 )
-@click.option("--grid", type=_LENGTH, metavar="MM", help="Cells in which shells are worked out. [default: by size]")
+@click.option("--grid", type=_LENGTH, metavar="MM", help="Cells in which cuts are worked out. [default: by size]")
 @click.option("--units", type=click.Choice(["um", "mm", "cm", "in", "m"]), help="Unit of the file. [default: mm]")
 @click.option("--overwrite", is_flag=True, help="Write into a directory that is not empty.")
 @judging_options
@@ -73,11 +78,12 @@ def shells(
 ) -> None:
     """Make inner shells of the body surface SKIN: the fat shell within the skin, the average body within the fat.
 
-    Every shell is worked out from the distance to the skin, so that they lie within each other at fingers, ears and
-    armpits too. The gate of `vhp check` then judges OUT.
+    Every vertex goes inward until the faces are as deep as asked; where the body is too thin or too much bent for that
+    (ears, lips, between fingers), what is too shallow is cut off, and the shell may end. The gate of `vhp check` then
+    judges OUT.
 
-    Exit code: 0 the result passed, 1 errors remain, 2 wrong usage, a skin that can't be read or that is not sound,
-    3 a limit was broken.
+    Exit code: 0 the result passed, 1 errors remain or a shell is nearer than asked, 2 wrong usage, a skin that can't be
+    read or that is not sound, 3 a limit was broken.
     """
     from vhp_cli.config import load_settings
     from vhp_cli.pipeline.output import REPORT
@@ -122,6 +128,36 @@ def shells(
     show_report(made.report, to_stdout or "table", report_base((output,)), **talk)
     if not talk.get("quiet"):
         for shell in made.shells:
-            left_out = f"; {shell.crumbs_mm3:.3g} mm3 in separate pieces left out" if shell.crumbs_mm3 else ""
-            click.echo(f"note: {shell.name} is {shell.gap_mm:.3g} mm from what is around it{left_out}", err=True)
-    ctx.exit(PASSED if made.report["summary"]["passed"] else ERRORS)
+            for line in _notes(shell):
+                click.echo(f"note: {shell.name} {line}", err=True)
+    reached = all(shell.reached for shell in made.shells)
+    ctx.exit(PASSED if made.report["summary"]["passed"] and reached else ERRORS)
+
+
+def _notes(shell: Shell) -> Iterator[str]:
+    """Return what is worth knowing of a shell, in one line each."""
+    around = "skin" if shell.name == "fat" else "fat"
+    yield (
+        f"is {shell.gap_mm:.4g} mm or more within the {around}; half of it is not deeper than "
+        f"{shell.depth[0]:.3g} times the thickness asked for, 99 % not than {shell.depth[1]:.3g} times"
+    )
+    if shell.gap_mm < shell.thickness_mm[0]:
+        yield f"is nearer than {shell.thickness_mm[0]:.3g} mm at {_place(shell.gap_xyz_mm)}: smooth the skin there"
+    elif not shell.reached:
+        yield f"has places of {shell.shallowest:.3g} times the thickness asked for"
+    if shell.ends:
+        largest, area = shell.ends[0], sum(end.area_mm2 for end in shell.ends)
+        yield (
+            f"ends where the body is too thin, in {len(shell.ends)} places, under {area:.3g} mm2; "
+            f"the largest is at {_place(largest.xyz_mm)}"
+        )
+    if shell.dropped:
+        volume = sum(piece.volume_mm3 for piece in shell.dropped)
+        yield (
+            f"had {len(shell.dropped)} small separate pieces of {volume:.3g} mm3, which were left out; "
+            f"the largest was at {_place(shell.dropped[0].xyz_mm)}"
+        )
+
+
+def _place(xyz_mm: tuple[float, float, float]) -> str:
+    return ", ".join(f"{value:.1f}" for value in xyz_mm)

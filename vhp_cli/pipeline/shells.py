@@ -15,14 +15,15 @@ from vhp_cli.config import UNITS, Settings
 from vhp_cli.errors import UsageError, VhpError
 from vhp_cli.formats.atomic import refused, write_atomically
 from vhp_cli.formats.npy import parse_values
-from vhp_cli.measures import Report
+from vhp_cli.measures import Report, ShellRecord
 from vhp_cli.mesh import Mesh
 from vhp_cli.model import find_model
-from vhp_cli.pipeline.check import Progress, check_model
+from vhp_cli.pipeline.check import Progress, available_cores, check_model
 from vhp_cli.pipeline.measuring import parse_in_mm, scaled
 from vhp_cli.pipeline.output import sole_writer
 from vhp_cli.pipeline.stage import Limits
-from vhp_cli.processes import Child
+from vhp_cli.processes import CallFailed, Child
+from vhp_cli.processes.calling import Reason
 from vhp_cli.stages.shells.offsetting import Shell, shells
 from vhp_cli.stages.shells.thickness import at_vertices, from_map, interpolated
 
@@ -39,12 +40,50 @@ class Made:
     shells: Sequence[Shell]
 
 
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why no shells were made: what a child process tells instead of raising, so that hint and reason get through."""
+
+    message: str
+    hint: str = ""
+    reason: Reason | None = None
+
+    def error(self) -> VhpError:
+        """Return what to raise."""
+        return CallFailed(self.reason, self.message) if self.reason else VhpError(self.message, hint=self.hint)
+
+
 def work(
-    mesh: Mesh, skin_mm: float, fat_mm: NDArray[np.float64], grid_mm: float | None
-) -> list[tuple[str, NDArray[np.float64], NDArray[np.int32], float, float]]:
+    mesh: Mesh,
+    skin_mm: float,
+    fat_mm: NDArray[np.float64],
+    grid_mm: float | None,
+    memory_gb: float | None,
+    threads: int,
+) -> list[Shell] | Refusal:
     """Make the shells; what a child process runs."""
-    found = shells(mesh, skin_mm, fat_mm, grid_mm=grid_mm)
-    return [(one.name, one.mesh.vertices, one.mesh.faces, one.gap_mm, one.crumbs_mm3) for one in found]
+    try:
+        return shells(mesh, skin_mm, fat_mm, grid_mm=grid_mm, memory_gb=memory_gb, threads=threads)
+    except CallFailed as failed:
+        return Refusal(failed.detail, reason=failed.reason)
+    except VhpError as error:
+        return Refusal(str(error), hint=error.hint)
+
+
+def described(shell: Shell) -> ShellRecord:
+    """Return what the report says of a shell."""
+    median, p99, deepest = shell.depth
+    return {
+        "name": shell.name,
+        "thickness_mm": {"min": shell.thickness_mm[0], "max": shell.thickness_mm[1]},
+        "gap_mm": shell.gap_mm,
+        "gap_xyz_mm": list(shell.gap_xyz_mm),
+        "depth": {"min": shell.shallowest, "median": median, "p99": p99, "max": deepest},
+        "ends": [
+            {"area_mm2": end.area_mm2, "distance_mm": end.distance_mm, "xyz_mm": list(end.xyz_mm)} for end in shell.ends
+        ],
+        "dropped": [{"volume_mm3": piece.volume_mm3, "xyz_mm": list(piece.xyz_mm)} for piece in shell.dropped],
+    }
 
 
 def fat_thickness(text: str, mesh: Mesh) -> NDArray[np.float64]:
@@ -137,8 +176,12 @@ def make_shells(
     with sole_writer(out), Child(memory_gb=limits.memory_gb, name="the worker") as child:
         if progress:
             progress(COMMAND, 0, 1)
-        found = child.call(_WORK, mesh, skin_mm, thickness, grid_mm, timeout_s=limits.timeout_for(len(data)))
-        made = [Shell(name, Mesh(vertices, faces), gap, crumbs) for name, vertices, faces, gap, crumbs in found]
+        timeout_s, threads = limits.timeout_for(len(data)), jobs or available_cores()
+        made: list[Shell] | Refusal = child.call(
+            _WORK, mesh, skin_mm, thickness, grid_mm, limits.memory_gb, threads, timeout_s=timeout_s
+        )
+        if isinstance(made, Refusal):
+            raise made.error()
         suffix = source.suffix.lower()
         write_atomically(out / f"{SKIN}{suffix}", data)
         for shell in made:
@@ -149,5 +192,7 @@ def make_shells(
             progress(COMMAND, 1, 1)
     files = [out / f"{name}{suffix}" for name in (SKIN, *(shell.name for shell in made))]
     report = check_model(find_model(files), settings, paths=[out], jobs=jobs).report
-    described = {"skin": skin_mm, "fat": fat, "grid": grid_mm, "source": source.as_posix()}
-    return Made({**report, "command": COMMAND, "settings": {**report["settings"], COMMAND: described}}, made)
+    asked = {"skin": skin_mm, "fat": fat, "grid": grid_mm, "source": source.as_posix()}
+    settings_of_run = {**report["settings"], COMMAND: asked}
+    section = [described(shell) for shell in made]
+    return Made({**report, "command": COMMAND, "settings": settings_of_run, "shells": section}, made)
