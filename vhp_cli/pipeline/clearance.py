@@ -16,7 +16,7 @@ from pathlib import Path
 
 from vhp_cli import formats
 from vhp_cli.config import Settings
-from vhp_cli.formats.atomic import refused
+from vhp_cli.formats.atomic import make_directory
 from vhp_cli.measures import Action
 from vhp_cli.mesh import Mesh
 from vhp_cli.model import Model, TissueFile
@@ -155,10 +155,7 @@ def separate_model(
 
     before = check(model, "input", paths)
     plan = make_plan(before.report, settings, options)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise refused(out, error) from error
+    make_directory(out)
     with sole_writer(out):
         run = _Run(model, out, files, plan, options, settings, head, limits, overwrite=overwrite)
         started, checking = time.perf_counter(), 0.0
@@ -209,7 +206,7 @@ class _Run:
         clear(out, files)
         self._journal = Journal(out, head, kept, self._by_file())
         for file in files:
-            (out / file).parent.mkdir(parents=True, exist_ok=True)
+            make_directory((out / file).parent)
         self.reused = len(kept)
         self.written = Model(
             tuple(replace(tissue, path=out / self._files[tissue.name], file=self._files[tissue.name])

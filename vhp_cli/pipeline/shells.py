@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vhp_cli import formats
 from vhp_cli.config import UNITS, Settings
 from vhp_cli.errors import UsageError, VhpError
-from vhp_cli.formats.atomic import refused, write_atomically
+from vhp_cli.formats.atomic import make_directory, write_atomically
 from vhp_cli.formats.npy import parse_values
 from vhp_cli.measures import Report, ShellRecord
 from vhp_cli.mesh import Mesh
@@ -24,6 +24,7 @@ from vhp_cli.pipeline.output import sole_writer
 from vhp_cli.pipeline.stage import Limits
 from vhp_cli.processes import CallFailed, Child
 from vhp_cli.processes.calling import Reason
+from vhp_cli.rounding import file_unit
 from vhp_cli.stages.shells.offsetting import Shell, shells
 from vhp_cli.stages.shells.thickness import at_vertices, from_map, interpolated
 
@@ -60,10 +61,12 @@ def work(
     grid_mm: float | None,
     memory_gb: float | None,
     threads: int,
+    unit_mm: float,
 ) -> list[Shell] | Refusal:
-    """Make the shells; what a child process runs."""
+    """Make the shells, for files in a unit; what a child process runs."""
     try:
-        return shells(mesh, skin_mm, fat_mm, grid_mm=grid_mm, memory_gb=memory_gb, threads=threads)
+        with file_unit(unit_mm):
+            return shells(mesh, skin_mm, fat_mm, grid_mm=grid_mm, memory_gb=memory_gb, threads=threads)
     except CallFailed as failed:
         return Refusal(failed.detail, reason=failed.reason)
     except VhpError as error:
@@ -164,28 +167,25 @@ def make_shells(
     if not len(mesh.faces):
         raise VhpError(f"{source}: no triangle in the file")
     thickness = fat_thickness(fat, mesh)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        occupied = any(out.iterdir())
-    except OSError as error:
-        raise refused(out, error) from error
+    make_directory(out)
     if out.resolve() in source.resolve().parents:
         raise UsageError(f"{source} lies in the output directory {out}", hint="inputs are never written to")
-    if occupied and not overwrite:
+    if any(out.iterdir()) and not overwrite:
         raise UsageError(f"{out} is not empty", hint="give another directory, or --overwrite")
     with sole_writer(out), Child(memory_gb=limits.memory_gb, name="the worker") as child:
         if progress:
             progress(COMMAND, 0, 1)
         timeout_s, threads = limits.timeout_for(len(data)), jobs or available_cores()
+        unit = UNITS[settings.units]
         made: list[Shell] | Refusal = child.call(
-            _WORK, mesh, skin_mm, thickness, grid_mm, limits.memory_gb, threads, timeout_s=timeout_s
+            _WORK, mesh, skin_mm, thickness, grid_mm, limits.memory_gb, threads, unit, timeout_s=timeout_s
         )
         if isinstance(made, Refusal):
             raise made.error()
         suffix = source.suffix.lower()
         write_atomically(out / f"{SKIN}{suffix}", data)
         for shell in made:
-            shown = scaled(shell.mesh, 1.0 / UNITS[settings.units])
+            shown = scaled(shell.mesh, 1.0 / unit)
             path = out / f"{shell.name}{suffix}"
             write_atomically(path, formats.mesh_bytes(path, shown))
         if progress:

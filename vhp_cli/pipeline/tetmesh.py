@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from vhp_cli import formats
 from vhp_cli.config import Settings
 from vhp_cli.errors import UsageError
-from vhp_cli.formats.atomic import refused
+from vhp_cli.formats.atomic import make_directory
 from vhp_cli.formats.volume import FORMS, write_volume
 from vhp_cli.measures import Report
 from vhp_cli.mesh import Mesh
@@ -184,7 +184,7 @@ def run_tetmesh(
         cache_directory=cache_directory,
         progress=None if progress is None else lambda step, done, total: progress(f"input: {step}", done, total),
     )
-    _make_directory(out)
+    make_directory(out)
     with sole_writer(out):
         _clear(out)
         tissues = read_tissues(model, before.report, settings, job.options_of, job.options.edge_length)
@@ -269,7 +269,7 @@ def _one(
     if meshed is not None and meshed.mesh is not None and len(meshed.mesh.tetrahedra):
         moment = time.perf_counter()
         for file, form in zip(files, job.forms, strict=True):
-            _make_directory((out / file).parent)
+            make_directory((out / file).parent)
             renamed = write_volume(out / file, meshed.mesh, form)
             notes += [f"{file}: {label} is called {valid} there" for label, valid in renamed.items()]
             written.append(file)
@@ -280,7 +280,7 @@ def _one(
                 if job.apart is not None:
                     shared[tissue] = mesh
                     continue
-                _make_directory((out / file).parent)
+                make_directory((out / file).parent)
                 formats.write_mesh(out / file, mesh)
         seconds["write"] = round(time.perf_counter() - moment, 4)
     seconds["total"] = round(time.perf_counter() - started, 4)
@@ -328,10 +328,3 @@ def _clear(out: Path) -> None:
         path = PurePosixPath(file)
         if not path.is_absolute() and ".." not in path.parts and (out / file).is_file():
             (out / file).unlink()
-
-
-def _make_directory(directory: Path) -> None:
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise refused(directory, error) from error

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from vhp_cli import formats
 from vhp_cli.config import Settings
-from vhp_cli.formats.atomic import refused
+from vhp_cli.formats.atomic import make_directory
 from vhp_cli.measures import Report
 from vhp_cli.mesh import Mesh
 from vhp_cli.model import Model, TissueFile
@@ -90,10 +90,7 @@ def set_apart(
         tissues = []
         for name, mesh in surfaces.items():
             path = raw / files[name]
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise refused(path.parent, error) from error
+            make_directory(path.parent)
             formats.write_mesh(path, mesh)
             tissues.append(TissueFile(name, path, files[name]))
         options = HealOptions().changed(how.settings.stages.get("heal", {}), "heal")
