@@ -27,6 +27,7 @@ from vhp_cli import measures
 from vhp_cli.cli import main
 from vhp_cli.commands.export import export as command
 from vhp_cli.formats import read_mesh, write_mesh
+from vhp_cli.formats.atomic import refused
 from vhp_cli.mesh import Mesh
 from vhp_cli.pipeline import export as pipeline
 from vhp_cli.report import schema
@@ -385,7 +386,7 @@ def test_a_killed_run_is_taken_up(body, out, tmp_path):
 
 def test_a_full_disk_is_said(body, out, monkeypatch, capsys):
     def full(path, surfaces, form, unit):
-        raise pipeline.refused(path, OSError(28, "No space left on device"))
+        raise refused(path, OSError(28, "No space left on device"))
 
     assert run(body, "-o", out, "--for", "hfss")[0] == 0
     write_mesh(body / "liver.stl", sphere(14, (20, 0, 0), subdivisions=3))
