@@ -7,6 +7,7 @@ card, where Playwright and Chromium are installed. CPU time is that of this proc
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import statistics
 import sys
 import time
@@ -55,11 +56,10 @@ def page_row(name: str, tissues: int, triangles: int) -> dict[str, str]:
 
 def first_view(page: Path) -> str:
     """Return the median time from the start of loading to the first picture of the model."""
-    try:
-        import browser
-        import playwright  # noqa: F401
-    except ImportError:
+    if importlib.util.find_spec("playwright") is None:
         return "-"
+    import browser
+
     if browser.CHROMIUM is None:
         return "-"
     times = []
